@@ -1,0 +1,119 @@
+"""What the installed package holds, and which room may import which."""
+
+import ast
+import importlib.resources
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import cantools
+import pytest
+
+import twostage_servo
+
+PACKAGE = Path(twostage_servo.__file__).parent
+PYPROJECT = Path(__file__).parent.parent / "pyproject.toml"
+
+MAY_IMPORT = {
+    "control": set[str](),
+    "axis": {"control"},
+    "canbus": {"control"},
+    "simulation": {"canbus", "control"},
+    "service": {"axis", "canbus", "control", "config"},
+    "cli": {"axis", "canbus", "control", "simulation", "service", "config"},
+    # config only composes the rooms' settings; it may take nothing else from them (see below).
+    "config": {"axis", "canbus", "simulation", "service", "config_problems", "settings_reference", "toml_lines"},
+    "config_problems": {"settings_reference", "toml_lines"},
+    "settings_reference": set[str](),
+    "toml_lines": set[str](),
+    "settings": set[str](),
+    "ticks": set[str](),
+}
+"""Room or top-level module: what it may import besides itself, ``settings``, ``ticks`` and the package's version."""
+
+ANYONE_MAY_IMPORT = {"settings", "ticks"}
+HEAVY = {"numpy", "scipy", "control", "can", "cantools", "pydantic", "structlog", "asyncio"}
+
+
+def imported_modules(source: Path) -> Iterator[str]:
+    """Every module that a file imports anywhere, also inside functions; of ``from package import module`` both."""
+    for node in ast.walk(ast.parse(source.read_text("utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{source}: relative import"
+            assert node.module is not None
+            yield node.module
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            yield from (name for name in names if is_module(PACKAGE.parent.joinpath(*name.split("."))))
+
+
+def is_module(path: Path) -> bool:
+    return path.is_dir() or path.with_suffix(".py").is_file()
+
+
+def room_of(source: Path) -> str:
+    return source.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+SOURCES = sorted(source for source in PACKAGE.rglob("*.py") if source != PACKAGE / "__init__.py")
+
+
+@pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.relative_to(PACKAGE)))
+def test_arrows_between_rooms_point_down_only(source: Path) -> None:
+    room = room_of(source)
+    imported = {name.split(".")[1] for name in imported_modules(source) if name.startswith("twostage_servo.")}
+    assert imported - {room} - ANYONE_MAY_IMPORT <= MAY_IMPORT[room]
+
+
+def test_the_arrows_cover_every_room() -> None:
+    assert {room_of(source) for source in SOURCES} == set(MAY_IMPORT)
+
+
+def test_the_configuration_takes_only_settings_from_the_rooms() -> None:
+    tree = ast.parse((PACKAGE / "config.py").read_text("utf-8"))
+    names = [
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module is not None and node.module.count(".") == 2
+        for alias in node.names
+    ]
+    assert sorted(names) == ["AxisSettings", "BusSettings", "ProtocolSettings", "ServiceSettings", "SimulationSettings"]
+
+
+@pytest.mark.parametrize(
+    "source", [s for s in SOURCES if room_of(s) in {"control", "axis"}], ids=lambda s: str(s.relative_to(PACKAGE))
+)
+def test_control_and_axis_know_neither_bus_nor_loop(source: Path) -> None:
+    assert {name.partition(".")[0] for name in imported_modules(source)}.isdisjoint({"can", "cantools", "asyncio"})
+
+
+@pytest.mark.parametrize("module", ["twostage_servo.cli.main", "twostage_servo"])
+def test_the_command_line_starts_without_heavy_imports(module: str, tmp_path: Path) -> None:
+    script = f"import sys; before = set(sys.modules); import {module}; print(*sorted(set(sys.modules) - before))"
+    finished = subprocess.run(  # noqa: S603 - our own interpreter and text
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True, timeout=60
+    )
+    loaded = finished.stdout.split()
+    assert module in loaded
+    assert {name.partition(".")[0] for name in loaded} & HEAVY == set()
+
+
+def test_the_demo_and_the_dbc_are_in_the_package() -> None:
+    folder = importlib.resources.files("twostage_servo_config")
+    assert tomllib.loads((folder / "demo.toml").read_text("utf-8"))
+    database = cantools.database.can.Database(strict=True)
+    database.add_dbc_string((folder / "servo_drive.dbc").read_text("utf-8"))
+    assert {message.name for message in database.messages} >= {"DriveCommand", "DriveFeedback", "DriveHeartbeat"}
+
+
+def test_the_version_is_the_same_in_both_places() -> None:
+    assert tomllib.loads(PYPROJECT.read_text("utf-8"))["project"]["version"] == twostage_servo.__version__
+
+
+def test_every_room_is_in_the_wheel() -> None:
+    listed = tomllib.loads(PYPROJECT.read_text("utf-8"))["tool"]["setuptools"]["packages"]
+    rooms = {f"twostage_servo.{folder.parent.name}" for folder in PACKAGE.glob("*/__init__.py")}
+    assert set(listed) == {"twostage_servo", "twostage_servo_config"} | rooms

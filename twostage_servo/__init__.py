@@ -1,0 +1,3 @@
+"""Two-stage servo control over CAN for Linux."""
+
+__version__ = "0.1.0"

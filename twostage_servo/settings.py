@@ -1,0 +1,35 @@
+"""What all settings have in common: unknown keys are refused, and each number has a unit, bounds and a line of text."""
+
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Settings(BaseModel):
+    """Base of all configuration tables: immutable, strict in types, closed to unknown keys, NaN and infinity."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True, hide_input_in_errors=False
+    )
+
+
+def quantity(default: Any = ..., *, unit: str, description: str, **bounds: Any) -> Any:
+    """Declare a numeric field.
+
+    Parameters
+    ----------
+    default
+        Value when the key is absent; ``...`` makes the key required.
+    unit
+        Unit of the number; ``axis unit`` stands for the unit that the config names in ``axis.unit``, ``1`` for none.
+    description
+        One line for the operator: what the number does.
+    bounds
+        ``gt``, ``ge``, ``lt``, ``le`` as in :func:`pydantic.Field`.
+
+    Returns
+    -------
+    Any
+        A pydantic field whose JSON schema carries the unit.
+    """
+    return Field(default, description=description, json_schema_extra={"unit": unit}, **bounds)

@@ -1,0 +1,111 @@
+"""The fixed tick: absolute deadlines on the running loop's clock, the same in real and in simulated time."""
+
+import asyncio
+import math
+import selectors
+from dataclasses import dataclass
+from typing import Self
+
+# The loop runs a timer up to its clock resolution early; such a wake-up still belongs to its deadline.
+_EARLY_PERIODS = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One pass of the loop.
+
+    Attributes
+    ----------
+    index : int
+        Whole periods since the start; the deadline is ``start_s + index * period_s``.
+    deadline_s : float
+        When the tick was due, on the loop's clock.
+    lateness_s : float
+        How long after `deadline_s` it came, never negative. The periods in `missed` are not in it.
+    missed : int
+        Deadlines that passed unserved since the tick before. This index is the last one's plus ``1 + missed``.
+    """
+
+    index: int
+    deadline_s: float
+    lateness_s: float
+    missed: int
+
+
+class Ticks:
+    """Asynchronous iterator of ticks, to be run through once by one task.
+
+    A late tick keeps the phase: it is served with the newest deadline that has passed, the older ones are skipped and
+    counted. There is never a burst, and the index never lags behind the clock.
+
+    Parameters
+    ----------
+    period_s : float
+        Period, s.
+    start_s : float, optional
+        Loop time of index 0, which is not itself served: the first tick is due one period later. By default the time at
+        which the iteration begins. One that lies in the past makes the first tick count what it missed.
+
+    Raises
+    ------
+    ValueError
+        If the period is not finite and greater than 0.
+    """
+
+    __slots__ = ("_index", "_start_s", "_stopped", "_waiter", "period_s")
+
+    def __init__(self, period_s: float, start_s: float | None = None) -> None:
+        if not (math.isfinite(period_s) and period_s > 0):
+            raise ValueError(f"tick period {period_s} s: a finite number greater than 0 is needed")
+        self.period_s = period_s
+        self._start_s = start_s
+        self._index = 0
+        self._stopped = False
+        self._waiter: asyncio.Future[None] | None = None
+
+    def __aiter__(self) -> Self:
+        """Give the iterator itself."""
+        return self
+
+    async def __anext__(self) -> Tick:
+        """Wait for the next deadline.
+
+        An overdue tick goes through the loop as well, so that a body slower than its period cannot starve other tasks.
+        """
+        if self._stopped:
+            raise StopAsyncIteration
+        loop = asyncio.get_running_loop()
+        start_s = self._start_s
+        if start_s is None:
+            start_s = self._start_s = loop.time()
+        expected = self._index + 1
+        waiter = self._waiter = loop.create_future()
+        timer = loop.call_at(start_s + expected * self.period_s, _wake, waiter)
+        try:
+            await waiter
+        finally:
+            timer.cancel()
+            self._waiter = None
+        if self._stopped:
+            raise StopAsyncIteration
+        now_s = loop.time()
+        index = max(expected, math.floor((now_s - start_s) / self.period_s + _EARLY_PERIODS))
+        self._index = index
+        deadline_s = start_s + index * self.period_s
+        return Tick(index, deadline_s, max(0.0, now_s - deadline_s), index - expected)
+
+    def stop(self) -> None:
+        """End the iteration for good, also one that waits just now. Call it from the loop's thread."""
+        self._stopped = True
+        if self._waiter is not None:
+            _wake(self._waiter)
+
+
+def _wake(waiter: "asyncio.Future[None]") -> None:
+    if not waiter.done():
+        waiter.set_result(None)
+
+
+def real_time_loop() -> asyncio.SelectorEventLoop:
+    """Make an event loop that waits in ``select``: epoll rounds a wait up to whole milliseconds, a tenth of a tick."""
+    return asyncio.SelectorEventLoop(selectors.SelectSelector())
