@@ -1,0 +1,171 @@
+"""From the names in the protocol settings to the compiled messages and signals of the DBC."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+from cantools.database.can import Database
+
+from twostage_servo.canbus.checksum import CHECKSUMS
+from twostage_servo.canbus.codec import MessageCodec
+from twostage_servo.canbus.frame import Frame
+from twostage_servo.canbus.protocol import CommandSettings, FeedbackSettings, HeartbeatSettings, ProtocolSettings, Role
+from twostage_servo.canbus.signal_codec import SignalCodec
+
+
+class ProtocolError(ValueError):
+    """The protocol settings do not fit the DBC or each other.
+
+    Attributes
+    ----------
+    key : tuple of str
+        Path of the setting in the config, such as ``("protocol", "feedback", "position")``.
+    """
+
+    def __init__(self, key: tuple[str, ...], text: str) -> None:
+        super().__init__(text)
+        self.key = key
+
+
+ABSENT: Final = SignalCodec("", "", 1.0, 0.0, 0.0, {}, decode=lambda word: None, encode=lambda value: 0)  # noqa: ARG005
+"""Stands for a signal that the drive does not have: nothing is read, no bit is set."""
+
+
+class Compiler:
+    """Compiles the messages that the settings name, and puts the setting's key to every refusal.
+
+    Parameters
+    ----------
+    settings
+        The protocol settings.
+    folder
+        Folder that a relative ``dbc`` starts from.
+
+    Raises
+    ------
+    ProtocolError
+        When the DBC cannot be read, or the checksum roles and the algorithm contradict each other.
+    """
+
+    def __init__(self, settings: ProtocolSettings, folder: Path) -> None:
+        self._settings = settings
+        self._database, self._source = _load(settings.dbc, folder)
+        named = [table for table in ("feedback", "command") if getattr(settings, table).checksum is not False]
+        if settings.checksum == "none" and named:
+            raise ProtocolError(
+                ("protocol", named[0], "checksum"),
+                f"protocol.checksum is 'none', but {named[0]}.checksum names a signal. "
+                "Name the algorithm, or set it to false if the drive has no checksum.",
+            )
+        if settings.checksum != "none" and not named:
+            raise ProtocolError(
+                ("protocol", "checksum"),
+                f"protocol.checksum is {settings.checksum!r}, but neither feedback.checksum nor command.checksum "
+                "names the signal that carries it. Name it, or set protocol.checksum to 'none'.",
+            )
+
+    def feedback(self, axis_unit: str) -> tuple[Frame, dict[str, SignalCodec]]:
+        """Compile the feedback message; returns it with the codec of each role, :data:`ABSENT` for ``false``."""
+        table = self._settings.feedback
+        frame = self._frame("feedback", table.message, table.checksum)
+        layout = frame.layout
+        with _key("feedback", "position"):
+            position = layout.quantity(table.position, table.position_scale)
+        if position.unit not in {"", axis_unit} and table.position_scale == 1.0:
+            raise ProtocolError(
+                ("axis", "unit"),
+                f"{self._source}: {table.position} is in {position.unit!r}, the axis in {axis_unit!r}. "
+                f"Set axis.unit to {position.unit!r}, or position_scale to the {axis_unit} in one {position.unit}.",
+            )
+        roles = _roles(
+            layout, "feedback", table, flag=("enabled", "fault", "command_timeout"), count=("fault_code", "counter")
+        )
+        return frame, roles | {"position": position}
+
+    def command(self) -> tuple[Frame, dict[str, SignalCodec], int]:
+        """Compile the command message; returns it with the codec of each role and the bits of the constant signals."""
+        table = self._settings.command
+        frame = self._frame("command", table.message, table.checksum)
+        layout = frame.layout
+        with _key("command", "effort"):
+            effort = layout.quantity(table.effort)
+            if effort.minimum >= 0.0 or effort.maximum <= 0.0:
+                raise ValueError(
+                    f"{self._source}, signal {table.effort}: its range {effort.minimum} to {effort.maximum} does not "
+                    "hold effort of both signs. Name a signed signal or correct its limits in the DBC."
+                )
+            if effort.decode(effort.encode(0.0)) != 0.0:
+                raise ValueError(
+                    f"{self._source}, signal {table.effort}: cannot hold 0 exactly, the drive could never be told "
+                    "to stop. Correct its scale and offset in the DBC."
+                )
+        roles = _roles(layout, "command", table, flag=("enable",), count=("counter",))
+        constants = 0
+        for name, value in table.constants.items():
+            with _key("command", "constants", name):
+                codec = layout.quantity(name)
+                if not codec.minimum <= value <= codec.maximum:
+                    raise ValueError(
+                        f"{name} = {value} is outside {codec.minimum} to {codec.maximum}. Choose a value in the range."
+                    )
+                constants |= codec.encode(value)
+        if layout.unused_signals:
+            raise ProtocolError(
+                ("protocol", "command", "constants"),
+                f"{self._source}, message {table.message}: nothing says what to send in "
+                f"{', '.join(layout.unused_signals)}. Give each a value under command.constants.",
+            )
+        return frame, roles | {"effort": effort}, constants
+
+    def heartbeat(self) -> tuple[Frame | None, dict[str, SignalCodec]]:
+        """Compile the heartbeat message, if there is one; returns it with the codec of each role."""
+        table = self._settings.heartbeat
+        if table.message is False:
+            return None, {"state": ABSENT, "boot_counter": ABSENT}
+        frame = self._frame("heartbeat", table.message, False)
+        return frame, _roles(frame.layout, "heartbeat", table, flag=(), count=("state", "boot_counter"))
+
+    def _frame(self, table: str, message: str, checksum: Role) -> Frame:
+        with _key(table, "message"):
+            layout = MessageCodec(self._database, message, self._source)
+        with _key(table, "checksum"):
+            return Frame(layout, (CHECKSUMS[self._settings.checksum], checksum) if checksum is not False else None)
+
+
+def _load(dbc: str, folder: Path) -> tuple[Database, str]:
+    shipped = files("twostage_servo_config") / "servo_drive.dbc"
+    path = folder / dbc if dbc else shipped
+    try:
+        # cp1252 is the encoding of DBC files. Not strict: a fault in a message that is not used does not matter.
+        database = Database(strict=False)
+        database.add_dbc_string(path.read_bytes().decode("cp1252"))
+    except Exception as error:  # the parser, too, raises of its own
+        raise ProtocolError(("protocol", "dbc"), f"cannot read the DBC file {path}: {error}") from error
+    return database, str(path)
+
+
+@contextmanager
+def _key(*key: str) -> Iterator[None]:
+    try:
+        yield
+    except ValueError as error:
+        raise ProtocolError(("protocol", *key), str(error)) from error
+
+
+def _roles(
+    layout: MessageCodec,
+    table: str,
+    settings: FeedbackSettings | CommandSettings | HeartbeatSettings,
+    flag: tuple[str, ...],
+    count: tuple[str, ...],
+) -> dict[str, SignalCodec]:
+    kinds: list[tuple[Callable[[str], SignalCodec], tuple[str, ...]]] = [(layout.flag, flag), (layout.count, count)]
+    codecs = {}
+    for take, roles in kinds:
+        for role in roles:
+            name = getattr(settings, role)
+            with _key(table, role):
+                codecs[role] = ABSENT if name is False else take(name)
+    return codecs

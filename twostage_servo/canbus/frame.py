@@ -1,0 +1,117 @@
+"""What surrounds the signals of a frame: identifier, length, kind and checksum."""
+
+from typing import Final, NamedTuple
+
+import can
+
+from twostage_servo.canbus.checksum import Checksum
+from twostage_servo.canbus.codec import MessageCodec
+
+_BYTES: Final = tuple(bytes((value,)) for value in range(256))
+
+
+class Identifier(NamedTuple):
+    """A CAN identifier with its kind: 0x181 with 11 bits and 0x181 with 29 bits are different identifiers."""
+
+    identifier: int
+    extended: bool
+
+    def __str__(self) -> str:
+        """Return hexadecimal digits, 3 for 11 bits and 8 for 29."""
+        return f"0x{self.identifier:08X}" if self.extended else f"0x{self.identifier:03X}"
+
+
+class FrameRejected(Exception):  # noqa: N818 - not an error of the program: a finding about a frame
+    """A frame that must not be used. Its text shows the frame in hexadecimal.
+
+    Attributes
+    ----------
+    reason : str
+        ``"error_frame"``, ``"remote"``, ``"fd"``, ``"extended"``, ``"identifier"``, ``"length"``, ``"checksum"``,
+        ``"reserved_value"`` or ``"not_finite"``.
+    """
+
+    def __init__(self, reason: str, message: can.Message, detail: str) -> None:
+        super().__init__(reason, message, detail)
+        self.reason = reason
+        self._message = message
+        self._detail = detail
+
+    def __str__(self) -> str:
+        """Return the text. It is put together only here, because a babbling node makes many that nobody reads."""
+        identifier = Identifier(self._message.arbitration_id, self._message.is_extended_id)
+        return f"frame {identifier} [{self._message.data.hex(' ')}] rejected ({self.reason}): {self._detail}"
+
+
+class Frame:
+    """A message on the wire: checks what came in, completes what goes out.
+
+    Parameters
+    ----------
+    layout
+        The compiled message.
+    checksum
+        Algorithm, with the name of the signal that carries it; None when the message has no checksum.
+
+    Attributes
+    ----------
+    layout : MessageCodec
+        As given.
+    identifier : Identifier
+        Of the message.
+
+    Raises
+    ------
+    ValueError
+        When the checksum's signal does not fill one whole byte.
+    """
+
+    __slots__ = ("_checksum", "_checksum_index", "_checksum_name", "_length", "identifier", "layout")
+
+    def __init__(self, layout: MessageCodec, checksum: tuple[Checksum, str] | None = None) -> None:
+        self.layout = layout
+        self.identifier = Identifier(layout.identifier, layout.is_extended)
+        self._length = layout.length
+        self._checksum: Checksum | None = checksum[0] if checksum else None
+        self._checksum_name = checksum[1] if checksum else ""
+        self._checksum_index = layout.byte_index(checksum[1]) if checksum else 0
+
+    def word(self, message: can.Message) -> int:
+        """Check a received frame and join its bytes to the word.
+
+        Raises
+        ------
+        FrameRejected
+            When it is not this message, or has another kind, length or checksum.
+        """
+        number, extended = self.identifier
+        data = message.data
+        if message.is_error_frame:
+            raise FrameRejected("error_frame", message, "is an error frame")
+        if message.is_remote_frame:
+            raise FrameRejected("remote", message, "is a remote frame")
+        if message.is_fd:
+            raise FrameRejected("fd", message, "is a CAN FD frame, a classic one is expected")
+        if message.is_extended_id != extended:
+            raise FrameRejected("extended", message, f"its identifier has {11 if extended else 29} bits")
+        if message.arbitration_id != number:
+            raise FrameRejected("identifier", message, f"{self.layout.name} has identifier {self.identifier}")
+        if len(data) != self._length:
+            raise FrameRejected("length", message, f"{self.layout.name} has {self._length} bytes, not {len(data)}")
+        if self._checksum is not None:
+            covered = data[:]
+            received = covered.pop(self._checksum_index)
+            expected = self._checksum(number, covered)
+            if received != expected:
+                detail = f"{self._checksum_name} is 0x{received:02x}, computed 0x{expected:02x}"
+                raise FrameRejected("checksum", message, detail)
+        return self.layout.word(data)
+
+    def data(self, word: int) -> bytes:
+        """Split the word into bytes and put the checksum in."""
+        data = self.layout.data(word)
+        if self._checksum is None:
+            return data
+        index = self._checksum_index
+        before, after = data[:index], data[index + 1 :]
+        return before + _BYTES[self._checksum(self.identifier.identifier, before + after)] + after

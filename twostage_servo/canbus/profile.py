@@ -1,0 +1,228 @@
+"""The drive profile: a drive's protocol, compiled from its DBC, seen from the controller and from the drive."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple, Self
+
+import can
+
+from twostage_servo.canbus.compiler import Compiler, ProtocolError
+from twostage_servo.canbus.frame import FrameRejected, Identifier
+from twostage_servo.canbus.protocol import CommandSettings, FeedbackSettings, HeartbeatSettings, ProtocolSettings
+from twostage_servo.canbus.signal_codec import UndecodableValue
+
+__all__ = [
+    "Command",
+    "CommandSettings",
+    "DriveProfile",
+    "Feedback",
+    "FeedbackSettings",
+    "FrameRejected",
+    "Heartbeat",
+    "HeartbeatSettings",
+    "Identifier",
+    "ProtocolError",
+    "ProtocolSettings",
+]
+
+
+class Feedback(NamedTuple):
+    """What the drive reports every period; None where the drive has no such signal. The position is in axis units."""
+
+    position: float
+    counter: int | None
+    enabled: bool | None
+    fault: bool | None
+    fault_code: int | None
+    command_timeout: bool | None = None
+
+
+class Command(NamedTuple):
+    """What the controller asks for; None where the drive has no such signal. The effort is in the drive's unit."""
+
+    effort: float
+    enable: bool | None
+    counter: int | None
+
+
+class Heartbeat(NamedTuple):
+    """State of the drive's state machine and count of its boots; None where the drive has no such signal."""
+
+    state: int | None
+    boot_counter: int | None
+
+
+class DriveProfile:
+    """A compiled protocol: frames to tuples and back, in one or two microseconds. Make one with :meth:`compile`.
+
+    Every ``decode_`` method raises :class:`FrameRejected` and nothing else, whatever the frame. Values beyond what a
+    signal can carry are saturated by the ``encode_`` methods, counters are reduced by their modulus.
+
+    Attributes
+    ----------
+    feedback_id, command_id : Identifier
+        Identifiers of the two messages.
+    heartbeat_id : Identifier or None
+        Identifier of the heartbeat; None when the drive has none.
+    controller_identifiers, drive_identifiers : tuple of Identifier
+        What the controller listens to; what the drive listens to.
+    effort_quantum : float
+        Step of the effort, in the drive's unit; 0 for an IEEE float.
+    effort_unit : str
+        Unit of the effort in the DBC; empty where it gives none.
+    effort_limit : float
+        Largest magnitude of the effort that the signal carries in both directions.
+    position_quantum : float
+        Step of the position, axis units; 0 for an IEEE float.
+    counter_modulus, command_counter_modulus : int
+        Number of values of the alive counter of feedback and of command; 1 when there is none.
+    fault_texts, state_texts : mapping of int to str
+        Value tables of fault code and state; empty where the DBC has none.
+    """
+
+    def __init__(self, compiler: Compiler, axis_unit: str) -> None:
+        self._feedback, feedback = compiler.feedback(axis_unit)
+        self._command, command, self._constants = compiler.command()
+        self._heartbeat, heartbeat = compiler.heartbeat()
+        identifiers = [frame.identifier for frame in (self._feedback, self._command, self._heartbeat) if frame]
+        if len(set(identifiers)) < len(identifiers):
+            raise ProtocolError(
+                ("protocol",),
+                "feedback, command and heartbeat must be different messages, but have the identifiers "
+                f"{', '.join(map(str, identifiers))}. Name three messages.",
+            )
+        self.feedback_id = self._feedback.identifier
+        self.command_id = self._command.identifier
+        self.heartbeat_id = self._heartbeat.identifier if self._heartbeat else None
+        self.controller_identifiers = tuple(one for one in (self.feedback_id, self.heartbeat_id) if one)
+        self.drive_identifiers = (self.command_id,)
+
+        effort, position = command["effort"], feedback["position"]
+        self.effort_quantum = effort.quantum
+        self.effort_unit = effort.unit
+        self.effort_limit = min(effort.maximum, -effort.minimum)
+        self.position_quantum = position.quantum
+        self.counter_modulus = int(feedback["counter"].maximum) + 1
+        self.command_counter_modulus = int(command["counter"].maximum) + 1
+        self.fault_texts = feedback["fault_code"].choices
+        self.state_texts = heartbeat["state"].choices
+
+        # In the order of the tuples' fields. The functions themselves, not their codecs: fewer look-ups a frame.
+        self._feedback_decoders = tuple(feedback[role].decode for role in Feedback._fields)
+        self._feedback_encoders = tuple(feedback[role].encode for role in Feedback._fields)
+        self._command_decoders = tuple(command[role].decode for role in Command._fields)
+        self._command_encoders = tuple(command[role].encode for role in Command._fields)
+        self._heartbeat_decoders = tuple(heartbeat[role].decode for role in Heartbeat._fields)
+        self._heartbeat_encoders = tuple(heartbeat[role].encode for role in Heartbeat._fields)
+
+    @classmethod
+    def compile(cls, settings: ProtocolSettings, folder: Path, axis_unit: str) -> Self:
+        """Compile the protocol that the settings name.
+
+        Parameters
+        ----------
+        settings
+            The protocol settings.
+        folder
+            Folder of the config file; a relative ``settings.dbc`` starts there.
+        axis_unit
+            Unit of the axis, compared with the unit that the DBC gives for the position.
+
+        Returns
+        -------
+        DriveProfile
+            The compiled profile.
+
+        Raises
+        ------
+        ProtocolError
+            When settings and DBC do not fit; its ``key`` says which setting to change.
+        """
+        return cls(Compiler(settings, folder), axis_unit)
+
+    def is_feedback(self, message: can.Message) -> bool:
+        """Whether the frame has the number of the feedback; :meth:`decode_feedback` judges the rest."""
+        return message.arbitration_id == self.feedback_id.identifier
+
+    def is_heartbeat(self, message: can.Message) -> bool:
+        """Whether the frame has the number of the heartbeat; :meth:`decode_heartbeat` judges the rest."""
+        return self.heartbeat_id is not None and message.arbitration_id == self.heartbeat_id.identifier
+
+    def encode_command(self, effort: float, enable: bool, counter: int) -> bytes:
+        """Make the data of a command.
+
+        Raises
+        ------
+        ValueError
+            When ``effort`` is not finite.
+        """
+        encode_effort, encode_enable, encode_counter = self._command_encoders
+        return self._command.data(
+            self._constants
+            | encode_effort(effort)
+            | encode_enable(enable)
+            | encode_counter(counter % self.command_counter_modulus)
+        )
+
+    def decode_command(self, message: can.Message) -> Command:
+        """Read a command, as the drive does."""
+        word = self._command.word(message)
+        try:
+            return Command._make([decode(word) for decode in self._command_decoders])
+        except UndecodableValue as error:
+            raise FrameRejected(error.reason, message, str(error)) from error
+
+    def encode_feedback(self, feedback: Feedback) -> bytes:
+        """Make the data of a feedback, as the drive does. None counts as 0.
+
+        Raises
+        ------
+        ValueError
+            When the position is not finite.
+        """
+        if feedback.counter is not None:
+            feedback = feedback._replace(counter=feedback.counter % self.counter_modulus)
+        return self._feedback.data(_encode(self._feedback_encoders, feedback))
+
+    def decode_feedback(self, message: can.Message) -> Feedback:
+        """Read a feedback."""
+        word = self._feedback.word(message)
+        position, counter, enabled, fault, fault_code, command_timeout = self._feedback_decoders
+        try:
+            return Feedback(
+                position(word), counter(word), enabled(word), fault(word), fault_code(word), command_timeout(word)
+            )
+        except UndecodableValue as error:
+            raise FrameRejected(error.reason, message, str(error)) from error
+
+    def encode_heartbeat(self, heartbeat: Heartbeat) -> bytes:
+        """Make the data of a heartbeat, as the drive does. None counts as 0.
+
+        Raises
+        ------
+        ValueError
+            When the drive has no heartbeat.
+        """
+        if self._heartbeat is None:
+            raise ValueError("this drive has no heartbeat: protocol.heartbeat.message is false")
+        return self._heartbeat.data(_encode(self._heartbeat_encoders, heartbeat))
+
+    def decode_heartbeat(self, message: can.Message) -> Heartbeat:
+        """Read a heartbeat."""
+        if self._heartbeat is None:
+            raise FrameRejected("identifier", message, "this drive has no heartbeat")
+        word = self._heartbeat.word(message)
+        try:
+            heartbeat = Heartbeat._make([decode(word) for decode in self._heartbeat_decoders])
+        except UndecodableValue as error:
+            raise FrameRejected(error.reason, message, str(error)) from error
+        if self.state_texts and heartbeat.state not in self.state_texts:
+            raise FrameRejected("reserved_value", message, f"state {heartbeat.state} is not in the DBC's value table")
+        return heartbeat
+
+
+def _encode(encoders: Iterable[Callable[[float], int]], values: Iterable[float | None]) -> int:
+    word = 0
+    for encode, value in zip(encoders, values, strict=True):
+        word |= encode(0.0 if value is None else value)
+    return word

@@ -1,0 +1,72 @@
+"""Settings of the drive's protocol: which messages of which DBC, and which signal plays which role."""
+
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from twostage_servo.settings import Settings, quantity
+
+Role = str | Literal[False]
+"""Name of a message or signal; ``false`` says that the drive has none."""
+
+
+class FeedbackSettings(Settings):
+    """Message that brings position and status of the drive."""
+
+    message: str = Field("DriveFeedback", description="Message with the feedback")
+    position: str = Field("Position", description="Signal with the measured position")
+    position_scale: float = quantity(
+        1.0,
+        unit="axis unit per DBC unit",
+        description="Multiplies the position of the DBC; negative turns the direction round",
+    )
+    enabled: Role = Field("Enabled", description="Signal that is 1 while the drive is enabled; false: none")
+    fault: Role = Field("Fault", description="Signal that is 1 while the drive has a fault; false: none")
+    fault_code: Role = Field("FaultCode", description="Signal that says which fault; false: none")
+    command_timeout: Role = Field(
+        "CommandTimeout", description="Signal that is 1 after the drive stopped because commands ceased; false: none"
+    )
+    counter: Role = Field("AliveCounter", description="Signal that counts the feedback frames; false: none")
+    checksum: Role = Field("Checksum", description="Signal with the checksum byte; false: none")
+
+    @field_validator("position_scale")
+    @classmethod
+    def _is_not_zero(cls, value: float) -> float:
+        if value == 0.0:
+            raise ValueError("must not be 0: the position would always read 0")
+        return value
+
+
+class CommandSettings(Settings):
+    """Message that takes the effort to the drive."""
+
+    message: str = Field("DriveCommand", description="Message with the command")
+    effort: str = Field("Effort", description="Signal with the effort")
+    enable: Role = Field("Enable", description="Signal that is 1 to enable the drive; false: none")
+    counter: Role = Field("AliveCounter", description="Signal that counts the command frames; false: none")
+    checksum: Role = Field("Checksum", description="Signal with the checksum byte; false: none")
+    constants: dict[str, float] = Field(
+        default_factory=dict, description="Value of each further signal of the message, in the DBC's unit"
+    )
+
+
+class HeartbeatSettings(Settings):
+    """Message that says which state the drive is in and whether it rebooted."""
+
+    message: Role = Field("DriveHeartbeat", description="Message with the heartbeat; false: none")
+    state: Role = Field("State", description="Signal with the state of the drive; false: none")
+    boot_counter: Role = Field("BootCounter", description="Signal that changes when the drive boots; false: none")
+
+
+class ProtocolSettings(Settings):
+    """Protocol of the drive; the defaults are those of the shipped ``servo_drive.dbc``."""
+
+    dbc: str = Field(
+        "", description="DBC file, relative to the folder of this file; empty: the shipped servo_drive.dbc"
+    )
+    checksum: Literal["crc8_j1850", "xor8", "sum8", "none"] = Field(
+        "crc8_j1850", description="Algorithm of the checksum bytes"
+    )
+    feedback: FeedbackSettings = Field(FeedbackSettings(), description="Message that brings position and status")
+    command: CommandSettings = Field(CommandSettings(), description="Message that takes the effort to the drive")
+    heartbeat: HeartbeatSettings = Field(HeartbeatSettings(), description="Message that says the drive's state")
