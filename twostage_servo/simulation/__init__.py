@@ -1,0 +1,1 @@
+"""The simulated drive (plant, encoder, firmware, CAN node) and the virtual clock."""

@@ -1,0 +1,99 @@
+"""The simulated drive as a node on a bus: an asyncio task that runs the firmware cycle over its own link."""
+
+import asyncio
+import logging
+from collections.abc import Callable
+
+from twostage_servo.canbus.link import Link, LinkError
+from twostage_servo.simulation.drive import SimulatedDrive
+from twostage_servo.ticks import Ticks
+
+_log = logging.getLogger(__name__)
+
+
+class DriveNode:
+    """Runs a drive: at each firmware cycle reads its link, feeds the drive and sends what the drive has to say.
+
+    A link that fails is closed and opened again at the reopen interval, for as long as the node runs; the axis
+    meanwhile moves on, and the drive's command time-out stops it.
+
+    Parameters
+    ----------
+    drive : SimulatedDrive
+        The drive, on the clock of the running loop.
+    link : Link
+        A link of its own, for the command identifier. The node opens and closes it.
+    cycle_s : float
+        Period of the firmware cycle, s.
+    observer : callable, optional
+        Called with the time (s) and the drive whenever the drive has sampled its position, to record the true state.
+    """
+
+    def __init__(
+        self,
+        drive: SimulatedDrive,
+        link: Link,
+        cycle_s: float,
+        observer: Callable[[float, SimulatedDrive], None] | None = None,
+    ) -> None:
+        self._drive = drive
+        self._link = link
+        self._observer = observer
+        self._ticks = Ticks(cycle_s)
+        self._timeouts_reported = 0
+        self._error_reported: str | None = None
+        self._reopen_s = link.settings.reopen_interval_ms / 1e3
+        self._reopen_at_s = 0.0
+
+    async def run(self) -> None:
+        """Run until :meth:`stop`."""
+        loop = asyncio.get_running_loop()
+        self._reopen_at_s = loop.time()
+        try:
+            async for _ in self._ticks:
+                if self._link.is_open:
+                    self._cycle(loop.time())
+                elif loop.time() >= self._reopen_at_s:
+                    await self._open(loop)
+        finally:
+            self._link.close()
+
+    def stop(self) -> None:
+        """Let :meth:`run` end before the next cycle. Call it from the loop's thread."""
+        self._ticks.stop()
+
+    def _cycle(self, now_s: float) -> None:
+        drive, link = self._drive, self._link
+        samples = drive.counters.samples
+        try:
+            for message in link.drain():
+                drive.receive(message, now_s)
+            for identifier, data in drive.cycle(now_s):
+                link.send(identifier, data)
+        except LinkError as error:
+            self._lose(error, now_s)
+        if drive.counters.command_timeouts != self._timeouts_reported:
+            self._timeouts_reported = drive.counters.command_timeouts
+            _log.warning(
+                "simulated drive: no command in time, disabled at %.3f, coasting at %.1f a second",
+                drive.position,
+                drive.velocity,
+            )
+        if self._observer is not None and drive.counters.samples != samples:
+            self._observer(now_s, drive)
+
+    async def _open(self, loop: asyncio.AbstractEventLoop) -> None:
+        try:
+            await self._link.open_in_thread()  # the hub that it connects to may be served by this very loop
+        except LinkError as error:
+            self._lose(error, loop.time())
+        else:
+            self._error_reported = None
+            _log.info("simulated drive: on the bus")
+
+    def _lose(self, error: LinkError, now_s: float) -> None:
+        self._link.close()
+        self._reopen_at_s = now_s + self._reopen_s
+        if str(error) != self._error_reported:
+            self._error_reported = str(error)
+            _log.warning("simulated drive: %s Trying again every %g s", error, self._reopen_s)

@@ -1,0 +1,101 @@
+"""Settings of the simulated drive: the *true* plant, apart from the law's model, and what goes wrong with it."""
+
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from twostage_servo.settings import Settings, quantity
+
+
+class SimulationSettings(Settings):
+    """The ``[simulation]`` table."""
+
+    gain: float = quantity(
+        180.0, unit="axis unit/(effort unit s²)", description="True gain of the plant.", ge=-1e9, le=1e9
+    )
+    pole: float = quantity(14.0, unit="1/s", description="True pole of the plant: friction over mass.", gt=0, le=1e6)
+    coulomb_friction: float = quantity(
+        0.0,
+        unit="effort unit",
+        description="Dry friction: the effort below which the axis at rest does not move.",
+        ge=0,
+        le=1e6,
+    )
+    load: float = quantity(
+        0.0, unit="effort unit", description="Constant load; positive opposes positive effort.", ge=-1e6, le=1e6
+    )
+    load_at_s: float = quantity(
+        0.0, unit="s", description="When the load sets in, counted from the start of the drive.", ge=0, le=1e9
+    )
+    initial_position: float = quantity(
+        0.0, unit="axis unit", description="True position at the start of the drive.", ge=-1e9, le=1e9
+    )
+    noise_std: float = quantity(
+        0.0,
+        unit="axis unit",
+        description="Standard deviation of the noise on the measured position.",
+        ge=0,
+        le=1e9,
+    )
+    quantum: float = quantity(
+        0.001, unit="axis unit", description="Resolution of the encoder; 0 for one without steps.", ge=0, le=1e9
+    )
+    delay_ms: float = quantity(
+        0.0,
+        unit="ms",
+        description="Transport delay from the arrival of a command until its effort acts.",
+        ge=0,
+        le=1000,
+    )
+    frame_loss: float = quantity(
+        0.0,
+        unit="1",
+        description="Probability that a frame is lost at the drive, for each frame in either direction.",
+        ge=0,
+        le=1,
+    )
+    command_timeout_ms: float = quantity(
+        50.0,
+        unit="ms",
+        description="Silence of the controller after which the enabled drive disables itself.",
+        gt=0,
+        le=10_000,
+    )
+    feedback: Literal["on_command", "cyclic"] = Field(
+        "on_command",
+        description="When the drive samples and reports its position: in answer to each command, or free-running.",
+    )
+    feedback_period_ms: float = quantity(
+        10.0,
+        unit="ms",
+        description="Period of free-running feedback; with on_command, the silence after which the drive reports.",
+        gt=0,
+        le=10_000,
+    )
+    heartbeat_ms: float = quantity(100.0, unit="ms", description="Period of the drive's heartbeat.", gt=0, le=60_000)
+    cycle_ms: float = quantity(
+        1.0,
+        unit="ms",
+        description="Period of the drive's firmware cycle, at which it reads and writes the bus.",
+        gt=0,
+        le=1000,
+    )
+    seed: int = quantity(1, unit="1", description="Seed of the noise and of the lost frames.", ge=0, le=2**63 - 1)
+    hub: bool = Field(
+        default=True,
+        description="Serve the loopback bus of [bus] from the drive's process when its interface is socketcand.",
+    )
+
+    @field_validator("gain")
+    @classmethod
+    def _drivable(cls, value: float) -> float:
+        if value == 0.0:
+            raise ValueError("effort would not move this plant; give a gain, such as 180")
+        return value
+
+    @field_validator("quantum")
+    @classmethod
+    def _none_or_sensible(cls, value: float) -> float:
+        if 0.0 < value < 1e-9:
+            raise ValueError("smaller than 1e-9 is no resolution of an encoder; 0 for one without steps")
+        return value
