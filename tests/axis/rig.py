@@ -1,0 +1,106 @@
+"""An axis with a plant of its own, told tick by tick what happens; no bus, no clock."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.messages import Command
+from twostage_servo.axis.settings import AxisSettings
+from twostage_servo.axis.state import State
+from twostage_servo.control.plant import Plant
+
+PERIOD_S = 0.01
+
+DEMO: dict[str, Any] = {
+    "name": "x",
+    "unit": "mm",
+    "effort_unit": "V",
+    "cruise_velocity": 100.0,
+    "plant": {"gain": 180.0, "pole": 14.0},
+    "limits": {
+        "position_minimum": -2500.0,
+        "position_maximum": 2500.0,
+        "position_overrun": 20.0,
+        "velocity": 250.0,
+        "overspeed": 320.0,
+        "acceleration": 2000.0,
+        "quick_stop_deceleration": 4000.0,
+        "effort": 24.0,
+        "effort_saturation_ms": 500.0,
+        "following_error_minimum": 10.0,
+        "following_error_time_s": 0.2,
+        "stale_feedback_ms": 30.0,
+        "missed_ticks": 5,
+    },
+    "window": {"position": 0.05, "time_ms": 100.0},
+}
+
+
+def axis_settings(**limits: float) -> AxisSettings:
+    return AxisSettings.model_validate(DEMO | {"limits": DEMO["limits"] | limits})
+
+
+@dataclass
+class AxisRig:
+    """Drives an axis and its plant. `sees` changes what the axis is told of the true position."""
+
+    axis: Axis = field(default_factory=lambda: Axis(design_axis(axis_settings(), PERIOD_S), 16))
+    plant: Plant = field(default_factory=lambda: Plant(180.0, 14.0))
+    load: float = 0.0
+    position: float = 0.0
+    velocity: float = 0.0
+    sample: float = 0.0
+    tick_index: int = 0
+    counter: int = 0
+    silent: bool = False
+    enabled: bool = False
+    fault_code: int | None = None
+    enables: bool = True
+    sees: Callable[[float], float] = field(default=lambda position: position)
+    commands: list[Command] = field(default_factory=list)
+    states: list[State] = field(default_factory=list)
+
+    def state(self) -> State:
+        return self.axis.state
+
+    def tick(self, missed: int = 0) -> Command:
+        self.tick_index += 1 + missed
+        for _ in range(missed):  # the last command goes on acting, and nobody looks
+            self.sample = self.sees(self.position)
+            self.move(self.commands[-1].effort if self.enabled and self.commands else 0.0)
+        self.axis.begin_tick(self.tick_index, missed)
+        if not self.silent:
+            self.counter = (self.counter + 1) % 16
+            self.axis.take_feedback(self.sample, self.counter, self.enabled, self.fault_code)
+        command = self.axis.step()
+        self.enabled = command.enable and self.enables
+        self.sample = self.sees(self.position)
+        self.move(command.effort if self.enabled else 0.0)
+        self.commands.append(command)
+        self.states.append(self.axis.state)
+        return command
+
+    def move(self, effort: float) -> None:
+        sampled, total = self.plant.discretise(PERIOD_S), effort - self.load
+        self.position += sampled.a12 * self.velocity + sampled.b1 * total
+        self.velocity = sampled.a22 * self.velocity + sampled.b2 * total
+
+    def seconds(self, duration_s: float) -> "AxisRig":
+        for _ in range(round(duration_s / PERIOD_S)):
+            self.tick()
+        return self
+
+    def armed(self) -> "AxisRig":
+        self.seconds(0.05)
+        self.axis.arm()
+        self.seconds(0.1)
+        assert self.state() is State.HOLDING
+        return self
+
+    def cruising(self, target: float = 400.0, velocity: float = 100.0, for_s: float = 1.5) -> "AxisRig":
+        self.armed()
+        self.axis.move_to(target, velocity)
+        self.seconds(for_s)
+        return self

@@ -1,0 +1,155 @@
+"""The tables ``[axis]`` and below: what the axis is, how its law is designed, and what it must never exceed."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from twostage_servo.settings import Settings, quantity
+
+
+class PlantSettings(Settings):
+    """The model of the plant, drive included: G(s) = gain / (s (s + pole)), effort to position."""
+
+    gain: float = quantity(
+        unit="axis unit/s²/effort unit",
+        description="Acceleration per effort at standstill; negative for a drive mounted the other way round",
+        ge=-1e9,
+        le=1e9,
+    )
+    pole: float = quantity(unit="1/s", description="Reciprocal of the velocity's time constant", ge=1e-3, le=1e4)
+
+    @model_validator(mode="after")
+    def _drivable(self) -> Self:
+        if abs(self.gain) < 1e-9:
+            raise ValueError(f"gain = {self.gain:g}: effort would not move this plant; give its gain, such as 180")
+        return self
+
+
+class LawSettings(Settings):
+    """How the servo gains are found."""
+
+    performance_index_ratio: float = quantity(
+        5.0e-5, unit="1", description="Q/R of the optimal design, larger is quicker", ge=1e-12, le=1e6
+    )
+
+
+class ObserverSettings(Settings):
+    """What the Kalman disturbance observer assumes of disturbance and noise."""
+
+    position_variance: float = quantity(
+        0.1, unit="(axis unit)²", description="Process variance of the position, a tick", ge=0.0, le=1e9
+    )
+    velocity_variance: float = quantity(
+        0.1, unit="(axis unit/s)²", description="Process variance of the velocity, a tick", ge=0.0, le=1e9
+    )
+    disturbance_variance: float = quantity(
+        0.1, unit="(effort unit)²", description="Process variance of the disturbance, a tick", ge=1e-12, le=1e9
+    )
+    measurement_variance: float = quantity(
+        0.01, unit="(axis unit)²", description="Variance of the measured position (R_o)", ge=1e-12, le=1e9
+    )
+    disturbance_memory: float = quantity(
+        1.0, unit="1", description="1: the disturbance persists; 0: as printed in the paper (erratum 5)", ge=0.0, le=1.0
+    )
+
+
+class LimitSettings(Settings):
+    """What the axis must never exceed. Every limit has to be set: none is off by being left out."""
+
+    position_minimum: float = quantity(unit="axis unit", description="Lowest set-point accepted", ge=-1e9, le=1e9)
+    position_maximum: float = quantity(unit="axis unit", description="Highest set-point accepted", ge=-1e9, le=1e9)
+    position_overrun: float = quantity(
+        unit="axis unit",
+        description="Distance past the lowest or highest set-point at which the axis trips",
+        gt=0.0,
+        le=1e9,
+    )
+    velocity: float = quantity(unit="axis unit/s", description="Largest cruise velocity accepted", gt=0.0, le=1e9)
+    overspeed: float = quantity(
+        unit="axis unit/s",
+        description="Estimated speed at which the axis trips; above the velocity limit",
+        gt=0.0,
+        le=1e9,
+    )
+    acceleration: float = quantity(
+        unit="axis unit/s²", description="Largest slope of the speed reference, up and down", gt=0.0, le=1e12
+    )
+    quick_stop_deceleration: float = quantity(
+        unit="axis unit/s²", description="Slope of the speed reference in a quick stop", gt=0.0, le=1e12
+    )
+    effort: float = quantity(unit="effort unit", description="Largest magnitude of the effort", gt=0.0, le=1e9)
+    effort_saturation_ms: float = quantity(
+        unit="ms", description="Time at the effort limit after which the axis trips", gt=0.0, le=60_000.0
+    )
+    following_error_minimum: float = quantity(
+        unit="axis unit", description="Following error at which the axis trips, at standstill", gt=0.0, le=1e9
+    )
+    following_error_time_s: float = quantity(
+        unit="s",
+        description="Following error allowed for each axis unit/s of the move's speed, where more",
+        ge=0.0,
+        le=60.0,
+    )
+    stale_feedback_ms: float = quantity(
+        unit="ms", description="Time without fresh feedback after which an armed axis trips", gt=0.0, le=10_000.0
+    )
+    missed_ticks: int = quantity(
+        unit="ticks", description="Ticks missed in one go after which an armed axis trips", ge=0, le=1000
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.position_minimum >= self.position_maximum:
+            raise ValueError(
+                f"position_minimum = {self.position_minimum:g} is not below position_maximum = "
+                f"{self.position_maximum:g}; exchange or correct them"
+            )
+        if self.quick_stop_deceleration < self.acceleration:
+            raise ValueError(
+                f"quick_stop_deceleration = {self.quick_stop_deceleration:g} is below acceleration = "
+                f"{self.acceleration:g}: a quick stop must not be gentler than an ordinary one"
+            )
+        if self.overspeed <= self.velocity:
+            raise ValueError(
+                f"overspeed = {self.overspeed:g} is not above velocity = {self.velocity:g}, so an ordinary cruise "
+                f"would trip; about {1.25 * self.velocity:g} is usual"
+            )
+        return self
+
+
+class WindowSettings(Settings):
+    """When a move counts as done (CiA 402: position window and position window time)."""
+
+    position: float = quantity(
+        unit="axis unit", description="Largest error of a position that counts as reached", gt=0.0, le=1e9
+    )
+    time_ms: float = quantity(
+        unit="ms", description="Time for which the position must stay in the window", ge=0.0, le=60_000.0
+    )
+
+
+class AxisSettings(Settings):
+    """One drive with its law and limits."""
+
+    name: str = Field("axis", description="Name in logs and status", min_length=1, max_length=64)
+    unit: str = Field(description="Unit of position, such as mm or deg", min_length=1, max_length=16)
+    effort_unit: str = Field(description="Unit of the effort, such as V, A or %", min_length=1, max_length=16)
+    cruise_velocity: float = quantity(
+        unit="axis unit/s", description="Velocity of a set-point that comes without one", gt=0.0, le=1e9
+    )
+    arming_timeout_ms: float = quantity(
+        500.0, unit="ms", description="Time that the drive may take to report that it is enabled", gt=0.0, le=60_000.0
+    )
+    plant: PlantSettings
+    law: LawSettings = LawSettings()
+    observer: ObserverSettings = ObserverSettings()
+    limits: LimitSettings
+    window: WindowSettings
+
+    @model_validator(mode="after")
+    def _cruise_within_limits(self) -> Self:
+        if self.cruise_velocity > self.limits.velocity:
+            raise ValueError(
+                f"cruise_velocity = {self.cruise_velocity:g} is above limits.velocity = {self.limits.velocity:g}: lower"
+            )
+        return self
