@@ -1,0 +1,90 @@
+"""The real service and the real drive node on the virtual bus, in simulated time."""
+
+import asyncio
+import itertools
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.state import State
+from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.canbus.profile import Command
+from twostage_servo.config import load
+from twostage_servo.service.assembly import build_service
+from twostage_servo.service.loop import ServoService
+from twostage_servo.simulation.drive import SimulatedDrive
+from twostage_servo.simulation.node import DriveNode
+from twostage_servo.simulation.virtual_clock import run
+
+_channels = itertools.count()
+_Result = TypeVar("_Result")
+
+
+@dataclass
+class World:
+    """What a script can look at and act on."""
+
+    service: ServoService
+    drive: SimulatedDrive
+    serving: "asyncio.Task[None]"
+    commands: list[tuple[int, Command]] = field(default_factory=list)
+    trace: list[tuple[int, str, int, bytes]] = field(default_factory=list)
+
+    @property
+    def axis(self) -> Axis:
+        return self.service.axis
+
+    def state(self) -> State:
+        return self.axis.state
+
+    async def seconds(self, duration_s: float) -> None:
+        """Let simulated time pass; no real time does."""
+        await asyncio.sleep(duration_s)
+
+    async def until(self, condition: Callable[[], bool], longest_s: float = 30.0) -> None:
+        for _ in range(round(longest_s / 0.01)):
+            if condition():
+                return
+            await asyncio.sleep(0.01)
+        raise AssertionError(f"did not come true within {longest_s} s of simulated time; the axis is {self.axis.state}")
+
+    async def armed(self) -> "World":
+        await self.until(lambda: self.axis.ready_to_arm)
+        self.axis.arm()
+        await self.until(lambda: self.axis.state is State.HOLDING)
+        return self
+
+    async def cruising(self, target: float = 400.0, velocity: float = 100.0) -> "World":
+        await self.armed()
+        self.axis.move_to(target, velocity)
+        await self.seconds(1.5)
+        assert self.state() is State.SPEED_STAGE
+        return self
+
+
+def simulate(script: Callable[[World], Awaitable[_Result]], *overrides: str) -> _Result:
+    """Run service and drive in simulated time until the script ends; the demo's configuration with overrides."""
+    loaded = load(None, overrides)
+    bus = BusSettings(interface="virtual", channel=f"test-{next(_channels)}")
+
+    async def main() -> _Result:
+        service = build_service(loaded, bus)
+        drive = SimulatedDrive(loaded.config.simulation, service.profile, asyncio.get_running_loop().time())
+        node = DriveNode(drive, Link(bus, service.profile.drive_identifiers), loaded.config.simulation.cycle_ms / 1e3)
+        driving = asyncio.create_task(node.run())
+        world = World(service, drive, asyncio.create_task(service.run()))
+
+        def observe(tick: int, direction: str, identifier: int, data: bytes) -> None:
+            world.trace.append((tick, direction, identifier, data))
+
+        service.frame_observers.append(observe)
+        try:
+            return await script(world)
+        finally:
+            service.shut_down()
+            await asyncio.gather(world.serving, return_exceptions=True)
+            node.stop()
+            await driving
+
+    return run(main())

@@ -1,0 +1,325 @@
+"""The control socket: real connections to the real service, in simulated time."""
+
+import asyncio
+import itertools
+import json
+import math
+import os
+import socket
+import stat
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.service.rig import World, simulate
+from twostage_servo.service.address import find_socket, own_socket, prepare_folder
+from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, encode_in_pieces
+from twostage_servo.service.requests import Request
+
+Json = dict[str, Any]
+
+
+class Operator:
+    """A client that speaks raw lines."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+
+    async def send(self, line: bytes) -> Json:
+        self.writer.write(line + b"\n")
+        return await self.answer()
+
+    async def ask(self, **request: object) -> Json:
+        return await self.send(json.dumps(request).encode())
+
+    async def answer(self) -> Json:
+        line = await self.reader.readline()
+        assert line.endswith(b"\n"), "the connection was closed"
+        answer: Json = json.loads(line)
+        return answer
+
+
+def serve(path: Path, script: Callable[[World, ControlSocket], Awaitable[None]]) -> None:
+    async def main(world: World) -> None:
+        control = ControlSocket(path, world.service.handle)
+        world.service.publishers.append(lambda tick: control.publish(tick.index, world.service.snapshot))
+        await control.start()
+        try:
+            await world.until(lambda: world.axis.ready_to_arm)
+            await script(world, control)
+        finally:
+            await control.stop()
+            for operator in _operators:
+                operator.writer.transport.abort()
+            _operators.clear()
+            await world.seconds(0.01)
+
+    simulate(main)
+
+
+_operators: list[Operator] = []
+
+
+async def connect(path: Path) -> Operator:
+    operator = Operator(*await asyncio.open_unix_connection(str(path)))
+    _operators.append(operator)
+    return operator
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "runtime" / "control.sock"
+
+
+def test_a_session_of_an_operator(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        operator = await connect(path)
+        assert (await operator.ask(op="status"))["axis"]["state"] == "disarmed"
+        refused = await operator.ask(op="move", position=10.0)
+        assert refused == {
+            "ok": False,
+            "error": {"code": "disarmed", "message": "the axis is disarmed: `arm` it first."},
+        }
+        assert (await operator.ask(op="arm"))["ok"]
+        await world.seconds(0.1)
+        moving = await operator.ask(op="move", position=100.0, velocity=50.0)
+        assert moving["move"] == {"number": 1, "start": 0.0, "target": 100.0, "velocity": 50.0, "outcome": "moving"}
+        await world.seconds(1.0)
+        stopping = await operator.ask(op="stop")
+        assert stopping["axis"]["state"] == "stopping"
+        await world.seconds(2.0)
+        status = await operator.ask(op="status")
+        assert status["axis"]["state"] == "holding"
+        assert status["move"]["outcome"] == "stopped"
+        assert (await operator.ask(op="move", by=-5))["move"]["velocity"] == 100.0
+        assert (await operator.ask(op="disarm"))["axis"]["state"] in {"disarming", "disarmed"}
+
+    serve(path, script)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (b"", "EOF"),
+        (b"{", "EOF"),
+        (b"[]", "an object"),
+        (b"null", "an object"),
+        (b'{"op": "fly"}', "fly"),
+        (b'{"position": 1}', "op"),
+        (b'{"op": "move"}', "either position or by"),
+        (b'{"op": "move", "position": 1, "by": 1}', "either position or by"),
+        (b'{"op": "move", "position": NaN}', "finite"),
+        (b'{"op": "move", "position": Infinity}', "finite"),
+        (b'{"op": "move", "position": 1e400}', "finite"),
+        (b'{"op": "move", "position": "10"}', "valid number"),
+        (b'{"op": "move", "position": true}', "valid number"),
+        (b'{"op": "move", "position": 1, "velocity": 0}', "greater than 0"),
+        (b'{"op": "move", "position": 1, "speed": 3}', "speed"),
+        (b'{"op": "arm", "force": true}', "force"),
+        (b'{"op": "watch", "every": 0}', "greater than or equal to 1"),
+        (b"\xff\xfe\x00", "invalid"),
+        (b"[" * 60_000, "recursion"),
+    ],
+)
+def test_a_bad_request_is_answered_and_the_connection_goes_on(path: Path, line: bytes, said: str) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        operator = await connect(path)
+        answer = await operator.send(line)
+        assert answer["ok"] is False
+        assert answer["error"]["code"] == "bad_request"
+        assert said.lower() in answer["error"]["message"].lower()
+        assert (await operator.ask(op="status"))["ok"]
+        assert world.service.tick_missed == 0
+
+    serve(path, script)
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
+@given(lines=st.lists(st.binary(max_size=200).filter(lambda line: b"\n" not in line), min_size=1, max_size=20))
+def test_any_bytes_at_all_are_answered(tmp_path: Path, lines: list[bytes]) -> None:
+    async def script(_: World, __: ControlSocket) -> None:
+        operator = await connect(tmp_path / "any.sock")
+        for line in lines:
+            assert (await operator.send(line))["ok"] is False
+
+    serve(tmp_path / "any.sock", script)
+
+
+def test_a_line_without_an_end_is_refused_and_closed(path: Path) -> None:
+    async def script(_: World, __: ControlSocket) -> None:
+        operator = await connect(path)
+        operator.writer.write(b"x" * 200_000 + b"\n")
+        assert "65536 bytes" in (await operator.answer())["error"]["message"]
+        assert await operator.reader.read() == b""
+
+    serve(path, script)
+
+
+def test_a_watcher_gets_snapshots_at_its_pace(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        watcher = await connect(path)
+        await watcher.ask(op="watch", every=20)
+        counts = [(await watcher.answer())["ticks"]["count"] for _ in range(5)]
+        assert [after - before for before, after in itertools.pairwise(counts)] == [20] * 4
+        assert world.service.tick_missed == 0
+
+    serve(path, script)
+
+
+def test_a_watcher_that_never_reads_is_bounded_and_delays_nothing(path: Path) -> None:
+    async def script(world: World, control: ControlSocket) -> None:
+        watcher = await connect(path)
+        await watcher.ask(op="watch", every=1)
+        watcher.writer.transport.pause_reading()  # type: ignore[attr-defined]
+        await world.seconds(30.0)
+        (client,) = control._clients
+        assert client.unsent > 1000
+        assert client._writer.transport.get_write_buffer_size() < 400_000
+        assert world.service.tick_missed == 0
+        assert (await (await connect(path)).ask(op="status"))["ok"]
+
+    serve(path, script)
+
+
+def test_more_clients_than_the_limit_are_told_so(path: Path) -> None:
+    async def script(_: World, __: ControlSocket) -> None:
+        clients = [await connect(path) for _ in range(64)]
+        for client in clients:
+            assert (await client.ask(op="status"))["ok"]
+        assert (await (await connect(path)).answer())["error"]["code"] == "too_many_clients"
+        clients[0].writer.close()
+        await clients[0].writer.wait_closed()
+        await asyncio.sleep(0.05)
+        assert (await (await connect(path)).ask(op="status"))["ok"]
+
+    serve(path, script)
+
+
+def test_a_client_that_dies_in_mid_move_leaves_the_move_alone(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        operator = await connect(path)
+        await operator.ask(op="arm")
+        await world.seconds(0.1)
+        await operator.ask(op="move", position=100.0)
+        operator.writer.transport.abort()
+        await world.until(lambda: world.axis.move is not None and world.axis.move.outcome == "reached")
+
+    serve(path, script)
+
+
+def test_the_recording_can_be_fetched(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        await world.seconds(3.0)
+        answer = await (await connect(path)).ask(op="recording")
+        assert answer["fields"][0] == "tick"
+        assert len(answer["records"]) == 200
+        assert len(answer["records"][0]) == len(answer["fields"])
+
+    serve(path, script)
+
+
+def test_only_owner_and_group_may_open_the_socket(path: Path) -> None:
+    modes: list[int] = []
+
+    async def script(_: World, __: ControlSocket) -> None:
+        modes.extend(stat.S_IMODE(os.stat(entry).st_mode) for entry in (path, path.parent))  # noqa: PTH116
+
+    serve(path, script)
+    assert modes == [0o660, 0o700]
+    assert not path.exists()
+
+
+def test_a_second_service_is_refused_and_a_dead_socket_is_taken_over(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        with pytest.raises(SocketInUseError, match="another service answers"):
+            await ControlSocket(path, world.service.handle).start()
+
+    serve(path, script)
+    path.parent.mkdir(exist_ok=True)
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    serve(path, lambda *_: asyncio.sleep(0))
+
+
+def test_a_file_that_is_no_socket_is_not_removed(path: Path) -> None:
+    path.parent.mkdir()
+    path.write_text("precious")
+
+    async def script(world: World) -> None:
+        with pytest.raises(OSError, match="is not a socket"):
+            await ControlSocket(path, world.service.handle).start()
+
+    simulate(script)
+    assert path.read_text() == "precious"
+
+
+def test_where_the_socket_lies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("TWOSTAGE_SERVO_SOCKET", "RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    assert own_socket() == Path(f"/tmp/twostage-servo-{os.getuid()}/control.sock")  # noqa: S108
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert own_socket() == tmp_path / "twostage-servo" / "control.sock"
+    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/twostage-servo:/run/other")
+    assert own_socket() == Path("/run/twostage-servo/control.sock")
+    monkeypatch.setenv("TWOSTAGE_SERVO_SOCKET", str(tmp_path / "mine.sock"))
+    assert find_socket() == tmp_path / "mine.sock"
+
+
+def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(os, "getuid", lambda: 123_456)
+    status = tmp_path.stat()
+    if status.st_uid == 0:
+        os.chown(tmp_path, 65_534, -1)
+    with pytest.raises(PermissionError, match="user 65534's"):
+        prepare_folder(tmp_path / "control.sock")
+
+
+def test_a_flood_of_requests_does_not_hold_up_the_tick(path: Path) -> None:
+    """Each request is one pass of the loop: a tick that is due comes between two of them, not after all."""
+
+    async def script(world: World, control: ControlSocket) -> None:
+        served = 0
+        handle = control._handle
+
+        def count(request: Request) -> dict[str, Any]:
+            nonlocal served
+            served += 1
+            return handle(request)
+
+        control._handle = count
+        operator = await connect(path)
+        operator.writer.write(b'{"op": "status"}\n' * 1000)
+        seen = []
+        for _ in range(1000):
+            await operator.answer()
+            seen.append(served)
+        # Without a pass of the loop between them, all that fits in the buffers would be served at one go.
+        assert max(after - before for before, after in itertools.pairwise(seen)) <= 5
+        assert world.service.tick_missed == 0
+
+    serve(path, script)
+
+
+def test_a_long_recording_is_sent_in_pieces() -> None:
+    answer = {
+        "ok": True,
+        "fields": ["tick", "effort"],
+        "records": [(n, math.nan if n == 7 else 0.5) for n in range(1234)],
+    }
+    pieces = list(encode_in_pieces(answer))
+    assert len(pieces) > 20
+    assert max(map(len, pieces)) < 2000
+    whole = json.loads(b"".join(pieces))
+    assert whole["records"] == [[n, None if n == 7 else 0.5] for n in range(1234)]
+    assert whole["fields"] == ["tick", "effort"]
+    assert b"".join(pieces).count(b"\n") == 1
+
+
+def test_an_answer_without_records_is_one_piece() -> None:
+    assert list(encode_in_pieces({"ok": True, "records": ()})) == [b'{"ok":true,"records":[]}\n']

@@ -1,0 +1,100 @@
+"""The log's thread and the lateness histogram."""
+
+import io
+import json
+import logging
+import threading
+
+import numpy as np
+import pytest
+import structlog
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twostage_servo.service.log import LogWriter, open_log
+from twostage_servo.service.statistics import LatenessHistogram
+
+
+@given(values=st.lists(st.floats(1.1e-7, 5.0), min_size=1, max_size=300), percent=st.sampled_from([50.0, 90.0, 99.0]))
+def test_percentiles_are_those_of_numpy_within_a_bin(values: list[float], percent: float) -> None:
+    histogram = LatenessHistogram()
+    for value in values:
+        histogram.add(value)
+    exact = float(np.percentile(values, percent, method="inverted_cdf"))
+    assert exact * 1e6 / 1.06 <= histogram.percentile_us(percent) <= exact * 1e6 * 1.07
+    assert histogram.largest_us == pytest.approx(1e6 * max(values))
+
+
+def test_a_punctual_run_and_an_empty_one_are_zero() -> None:
+    histogram = LatenessHistogram()
+    assert histogram.summary() == {"p50": 0.0, "p99": 0.0, "max": 0.0}
+    for _ in range(100):
+        histogram.add(0.0)
+    assert histogram.summary() == {"p50": 0.0, "p99": 0.0, "max": 0.0}
+
+
+def test_a_lateness_beyond_the_last_bin_is_not_lost() -> None:
+    histogram = LatenessHistogram()
+    histogram.add(1000.0)
+    assert histogram.percentile_us(50.0) == pytest.approx(1e7)  # the last bin's edge
+    assert histogram.largest_us == 1e9
+
+
+class StuckStream(io.StringIO):
+    """A stream whose reader has stopped reading, until it is let go."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.let_go = threading.Event()
+        self.entered = threading.Event()
+
+    def write(self, text: str) -> int:
+        self.entered.set()
+        self.let_go.wait(60)
+        return super().write(text)
+
+
+def test_a_stuck_log_drops_lines_and_counts_them() -> None:
+    stream = StuckStream()
+    writer = LogWriter(stream, capacity=10)
+    writer.msg("first")
+    assert stream.entered.wait(60)
+    for number in range(25):
+        writer.msg(f"line {number}")
+    assert writer.dropped == 15
+    stream.let_go.set()
+    writer.close()
+    assert stream.getvalue().splitlines() == ["first", *(f"line {number}" for number in range(10))]
+
+
+def test_a_stream_that_is_gone_is_no_error() -> None:
+    stream = io.StringIO()
+    stream.close()
+    writer = LogWriter(stream)
+    writer.msg("lost")
+    writer.close()
+    assert writer.dropped == 1
+
+
+@pytest.mark.parametrize(("journal", "prefix"), [(True, "<4>"), (False, "")])
+def test_a_line_is_json_with_a_priority_for_the_journal(
+    monkeypatch: pytest.MonkeyPatch, journal: bool, prefix: str
+) -> None:
+    if journal:
+        monkeypatch.setenv("JOURNAL_STREAM", "8:1")
+    else:
+        monkeypatch.delenv("JOURNAL_STREAM", raising=False)
+    stream = io.StringIO()
+    handlers = logging.getLogger().handlers[:]
+    writer = open_log("info", stream)
+    structlog.get_logger().debug("not written")
+    structlog.get_logger().warning("late", tick=7)
+    logging.getLogger("library").warning("from %s", "elsewhere")
+    writer.close()
+    first, second = stream.getvalue().splitlines()
+    assert first.startswith(prefix)
+    assert json.loads(first.removeprefix(prefix)) | {"timestamp": 0} == {
+        "event": "late", "level": "warning", "tick": 7, "timestamp": 0,
+    }  # fmt: skip
+    assert json.loads(second.removeprefix(prefix))["event"] == "from elsewhere"
+    assert logging.getLogger().handlers == handlers

@@ -1,0 +1,385 @@
+"""The service over real CAN frames on the virtual bus, in simulated time."""
+
+import asyncio
+import itertools
+from collections.abc import Callable
+
+import can
+import pytest
+
+from tests.service.rig import World, simulate
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
+from twostage_servo.canbus.link import LinkError
+from twostage_servo.service.requests import ArmRequest, MoveRequest, StatusRequest
+from twostage_servo.simulation.virtual_clock import VirtualClockLoop
+from twostage_servo.ticks import Tick
+
+
+def sent(world: World) -> list[tuple[int, float, bool | None, int | None]]:
+    """The commands as they stood on the bus: tick, effort, enable, counter."""
+    profile = world.service.profile
+    commands = []
+    for tick, direction, identifier, data in world.trace:
+        if direction == "sent":
+            message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+            commands.append((tick, *profile.decode_command(message)))
+    return commands
+
+
+def test_a_move_over_can_frames() -> None:
+    async def script(world: World) -> None:
+        await world.armed()
+        move = world.axis.move_to(400.0, 100.0)
+        await world.until(lambda: move.outcome != "moving")
+        assert move.outcome == "reached"
+        assert world.drive.position == pytest.approx(400.0, abs=0.06)
+        assert world.service.link.counters.rejected == 0
+        assert world.service.tick_missed == 0
+        assert world.axis.drive.monitor.lost == 0
+
+    simulate(script)
+
+
+def test_every_tick_sends_one_command_with_the_next_counter() -> None:
+    async def script(world: World) -> list[tuple[int, float, bool | None, int | None]]:
+        await world.cruising()
+        return sent(world)
+
+    commands = simulate(script)
+    ticks = [tick for tick, *_ in commands]
+    assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
+    counters = [counter for *_, counter in commands]
+    assert all((after - before) % 16 == 1 for before, after in itertools.pairwise(counters))  # type: ignore[operator]
+
+
+def test_the_same_run_twice_is_the_same_to_the_bit() -> None:
+    async def script(world: World) -> list[tuple[int, str, int, bytes]]:
+        await world.armed()
+        move = world.axis.move_to(100.0, 100.0)
+        await world.until(lambda: move.outcome == "reached")
+        return world.trace
+
+    noisy = ("simulation.noise_std=0.03", "simulation.frame_loss=0.02")
+    first = simulate(script, *noisy)
+    assert first == simulate(script, *noisy)
+    assert first != simulate(script, *noisy, "simulation.seed=2")
+
+
+@pytest.mark.parametrize("retarget", [(600.0, 100.0), (100.0, 100.0), (150.0, 50.0), (-50.0, 200.0), (152.0, 250.0)])
+def test_a_retarget_in_mid_move_settles(retarget: tuple[float, float]) -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+        move = world.axis.move_to(*retarget)
+        await world.until(lambda: move.outcome != "moving")
+        assert (move.outcome, world.axis.trip) == ("reached", None)
+        await world.seconds(2.0)
+        assert world.drive.position == pytest.approx(retarget[0], abs=0.06)
+
+    simulate(script)
+
+
+def test_shut_down_in_mid_move_ramps_and_disables() -> None:
+    async def script(world: World) -> list[tuple[int, float, bool | None, int | None]]:
+        await world.cruising()
+        begun = world.service.tick_count
+        world.service.shut_down()
+        await asyncio.wait_for(world.serving, 1.0)
+        assert 10 < world.service.tick_count - begun < 80
+        assert world.state() is State.DISARMED
+        assert abs(world.drive.velocity) < 3.0
+        return sent(world)
+
+    commands = simulate(script)
+    assert [(effort, enable) for _, effort, enable, _ in commands[-3:]] == [(0.0, False)] * 3
+    efforts = [effort for _, effort, enable, _ in commands if enable]
+    assert max(abs(b - a) for a, b in zip(efforts[-30:], efforts[-29:], strict=False)) < 1.0
+
+
+def test_shut_down_ends_in_time_even_if_the_axis_does_not_come_to_rest() -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+        world.service.shut_down()
+        await asyncio.wait_for(world.serving, 0.2)
+        assert world.state() is State.DISARMED
+
+    simulate(script, "service.shutdown_timeout_ms=100")
+
+
+def test_a_service_that_stops_sending_is_stopped_by_the_drive() -> None:
+    """What a killed service leaves behind: the drive's own time-out, and a restart that does nothing by itself."""
+
+    async def script(world: World) -> None:
+        await world.cruising()
+        world.service.ticks.stop()
+        await world.seconds(0.05)
+        world.service.link.close()
+        await world.seconds(1.0)
+        assert not world.drive.enabled
+        assert abs(world.drive.velocity) < 0.1
+
+    simulate(script)
+
+
+def test_a_lost_bus_trips_and_comes_back_disarmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+
+        def gone() -> list[can.Message]:
+            raise LinkError("bus virtual test failed while receiving: unplugged")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(world.service.link, "drain", gone)
+            await world.seconds(0.015)
+        assert world.axis.trip is not None
+        assert world.axis.trip.code is TripCode.BUS_FAILED
+        assert "unplugged" in world.axis.trip.cause
+        await world.seconds(0.5)
+        assert not world.drive.enabled
+        await world.until(lambda: world.axis.drive.position is not None)
+        assert world.state() is State.TRIPPED
+        world.axis.reset()
+        assert world.state() is State.DISARMED
+        await world.seconds(0.5)
+        assert not world.drive.enabled
+        await world.armed()
+        move = world.axis.move_to(0.0, 100.0)
+        await world.until(lambda: move.outcome == "reached")
+
+    simulate(script)
+
+
+def test_a_bus_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def script(world: World) -> None:
+        attempts = []
+        open_link = world.service.link.open
+
+        def not_yet() -> None:
+            attempts.append(1)
+            if len(attempts) < 4:
+                raise LinkError("no such device")
+            open_link()
+
+        monkeypatch.setattr(world.service.link, "open", not_yet)
+        await world.seconds(0.5)
+        assert world.service.snapshot()["bus"] == {"open": False, "error": "no such device", "drive_state": None}
+        with pytest.raises(Refused, match="no fresh feedback"):
+            world.axis.arm()
+        await world.seconds(4.0)
+        assert len(attempts) == 4
+        await world.armed()
+
+    simulate(script)
+
+
+def stall(duration_s: float) -> Callable[[Tick], None]:
+    """Return a publisher that holds the loop up once, as a busy processor would."""
+    done: list[bool] = []
+
+    def publish(_: Tick) -> None:
+        if not done:
+            done.append(True)
+            loop = asyncio.get_running_loop()
+            assert isinstance(loop, VirtualClockLoop)
+            loop._now_s += duration_s
+
+    return publish
+
+
+@pytest.mark.parametrize(("stall_s", "missed", "trips"), [(0.015, 0, False), (0.045, 3, False), (0.095, 8, True)])
+def test_a_stall_is_skipped_counted_and_never_made_up_in_a_burst(stall_s: float, missed: int, trips: bool) -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+        world.service.publishers.append(stall(stall_s))
+        before = world.service.tick_count
+        await world.seconds(1.0)
+        assert world.service.tick_missed == missed
+        assert abs(world.service.tick_count - before - round((1.0 - stall_s) / 0.01)) <= 2
+        assert (world.axis.trip is not None) == trips
+        ticks = [tick for tick, direction, *_ in world.trace if direction == "sent"]
+        assert len(ticks) == len(set(ticks))
+
+    simulate(script, "axis.limits.missed_ticks=5")
+
+
+def test_an_exception_in_the_loop_disables_the_drive_and_is_not_swallowed() -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+
+        def broken(_: Tick) -> None:
+            raise ZeroDivisionError("a defect")
+
+        world.service.publishers.append(broken)
+        with pytest.raises(ZeroDivisionError):
+            await world.serving
+        await world.seconds(0.005)
+        assert not world.drive.enabled
+        assert world.drive.fault_code == 0  # it was told, it did not have to notice
+
+    simulate(script)
+
+
+def test_frames_that_cannot_be_used_are_counted_and_bridged() -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+        loop = asyncio.get_running_loop()
+        channel = world.service.link.settings.channel
+        with can.Bus(interface="virtual", channel=channel, ignore_config=True) as intruder:
+            identifier = world.service.profile.feedback_id.identifier
+            for data in (b"", b"\0" * 8, bytes(range(8)), b"\xff" * 7):
+                intruder.send(can.Message(arbitration_id=identifier, is_extended_id=False, data=data), timeout=0)
+            intruder.send(can.Message(arbitration_id=identifier, is_extended_id=True, data=bytes(8)), timeout=0)
+            intruder.send(can.Message(arbitration_id=0x7FF, is_extended_id=False, data=bytes(8)), timeout=0)
+            await asyncio.sleep(0.03)
+        assert loop.time() > 1.5
+        assert world.service.link.counters.rejected == 5
+        await world.until(lambda: world.state() is State.HOLDING)
+        assert world.axis.trip is None
+
+    simulate(script)
+
+
+def test_the_recording_holds_the_ticks_before_the_trip() -> None:
+    async def script(world: World) -> None:
+        await world.cruising(2000.0)
+        await world.seconds(1.0)
+        world.axis.raise_trip(TripCode.OVERSPEED, "test")
+        await world.seconds(5.0)
+        records = world.service.recorder.records()
+        assert len(records) == 200
+        assert records[-1].state == State.TRIPPED
+        assert [record.state for record in records[:-1]] == [State.SPEED_STAGE] * 199
+        assert [b.tick - a.tick for a, b in itertools.pairwise(records)] == [1] * 199
+
+    simulate(script)
+
+
+def test_a_second_controller_on_the_bus_trips_and_keeps_the_axis_from_arming() -> None:
+    """Two masters on one drive would each see a healthy axis and pull at it in turn."""
+
+    async def script(world: World) -> None:
+        await world.cruising()
+        profile = world.service.profile
+        frame = profile.encode_command(3.0, enable=True, counter=7)
+        with can.Bus(interface="virtual", channel=world.service.link.settings.channel, ignore_config=True) as other:
+            command = can.Message(arbitration_id=profile.command_id.identifier, is_extended_id=False, data=frame)
+            other.send(command, timeout=0)
+            await world.seconds(0.02)
+            assert world.axis.trip is not None
+            assert world.axis.trip.code is TripCode.FOREIGN_COMMAND
+            assert frame.hex(" ") in world.axis.trip.cause
+            await world.seconds(0.1)
+            assert not world.drive.enabled
+            world.axis.reset()
+            with pytest.raises(Refused, match="another node on the bus commands this drive"):
+                world.axis.arm()
+            await world.seconds(1.0)
+            await world.armed()
+
+    simulate(script)
+
+
+def test_arming_over_a_closed_bus_says_that_the_bus_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def script(world: World) -> None:
+        def fail() -> None:
+            raise LinkError("unplugged")
+
+        monkeypatch.setattr(world.service.link, "open", fail)
+        await world.seconds(0.1)
+        with pytest.raises(Refused, match="the bus is not open: unplugged"):
+            world.service.handle(ArmRequest(op="arm"))
+
+    simulate(script)
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_an_ending_service_takes_no_more_orders(moving: bool) -> None:
+    async def script(world: World) -> None:
+        await world.armed()
+        if moving:
+            world.axis.move_to(400.0, 100.0)
+            await world.seconds(1.0)
+        world.service.shut_down()
+        for _ in range(100):
+            for request in (ArmRequest(op="arm"), MoveRequest(op="move", position=0.0)):
+                with pytest.raises(Refused, match="the service is ending"):
+                    world.service.handle(request)
+            assert world.service.handle(StatusRequest(op="status"))
+            await world.seconds(0.01)
+            if world.serving.done():
+                break
+        assert world.serving.done()
+        assert world.state() is State.DISARMED
+
+    simulate(script)
+
+
+def test_a_send_that_fails_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+
+        def gone(*_: object) -> bool:
+            raise LinkError("bus failed while sending: network is down")
+
+        with monkeypatch.context() as patch:
+            patch.setattr(world.service.link, "send", gone)
+            await world.seconds(0.015)
+        assert world.axis.trip is not None
+        assert world.axis.trip.code is TripCode.BUS_FAILED
+        assert world.service.snapshot()["axis"]["position"] is None
+
+    simulate(script)
+
+
+def test_a_drive_with_an_error_word_alone_trips_the_axis() -> None:
+    """Neither a fault bit nor an enabled bit: the code has to do."""
+
+    async def script(world: World) -> None:
+        await world.cruising()
+        world.drive._disable()
+        world.drive._fault_code = 3
+        await world.seconds(0.03)
+        assert world.axis.trip is not None
+        assert world.axis.trip.code is TripCode.DRIVE_FAULT
+        assert "3" in world.axis.trip.cause
+
+    simulate(script, "protocol.feedback.fault=false", "protocol.feedback.enabled=false")
+
+
+def test_feedback_that_has_stopped_is_not_shown_as_the_present(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        assert world.service.snapshot()["axis"]["position"] == 0.0
+        monkeypatch.setattr(world.drive, "cycle", lambda _: [])
+        await world.seconds(1.0)
+        status = world.service.snapshot()["axis"]
+        assert status["position"] is None
+        assert status["feedback_age_ms"] > 900.0
+
+    simulate(script)
+
+
+def test_a_bus_that_is_being_opened_is_closed_at_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The thread that opens the bus must not do so after the service has closed it."""
+
+    async def script(world: World) -> None:
+        link = world.service.link
+        await world.seconds(0.1)
+        opening = asyncio.Event()
+
+        async def slowly() -> None:
+            opening.set()
+            try:
+                await asyncio.sleep(10.0)
+            finally:
+                link.open()
+
+        link.close()
+        monkeypatch.setattr(link, "open_in_thread", slowly)
+        await opening.wait()
+        world.service.shut_down()
+        await world.until(world.serving.done)
+        assert not link.is_open
+
+    simulate(script)

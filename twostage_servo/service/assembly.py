@@ -1,0 +1,86 @@
+"""Puts a service together from a loaded configuration; what does not fit is an error with file, line and key."""
+
+from pathlib import Path
+
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
+from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.canbus.profile import DriveProfile, ProtocolError
+from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.service.address import own_socket
+from twostage_servo.service.loop import ServoService
+
+_ECHOING = frozenset({"udp_multicast"})
+"""Interfaces of python-can on which a sender hears its own frames, whatever it asks for."""
+
+
+def design(loaded: LoadedConfig[Config]) -> AxisDesign:
+    """Design the axis' law and observer.
+
+    Raises
+    ------
+    ConfigError
+        If no law can be designed from the settings.
+    """
+    config = loaded.config
+    try:
+        return design_axis(config.axis, config.service.tick_ms / 1e3)
+    except DesignError as error:
+        raise loaded.problem(error.key, str(error)) from error
+
+
+def compile_profile(loaded: LoadedConfig[Config]) -> DriveProfile:
+    """Compile the drive's frames from its DBC.
+
+    Raises
+    ------
+    ConfigError
+        If the DBC does not hold what the configuration names, or the command signal cannot carry the effort limit.
+    """
+    config = loaded.config
+    try:
+        profile = DriveProfile.compile(config.protocol, loaded.folder, config.axis.unit)
+    except ProtocolError as error:
+        raise loaded.problem(error.key, str(error)) from error
+    if profile.effort_unit not in {"", "1", config.axis.effort_unit}:
+        raise loaded.problem(
+            ("axis", "effort_unit"),
+            f"the drive's command signal is in {profile.effort_unit!r}; set axis.effort_unit to that, and give plant "
+            "and limits in it",
+        )
+    if config.axis.limits.effort > profile.effort_limit:
+        raise loaded.problem(
+            ("axis", "limits", "effort"),
+            f"the drive's command signal carries at most {profile.effort_limit:g} {config.axis.effort_unit}; lower the "
+            "limit or use a DBC with a wider signal",
+        )
+    return profile
+
+
+def build_service(loaded: LoadedConfig[Config], bus: BusSettings | None = None) -> ServoService:
+    """Return the service that a configuration describes, its bus not yet open.
+
+    Parameters
+    ----------
+    loaded
+        The configuration.
+    bus
+        A bus to use in place of the configured one.
+
+    Raises
+    ------
+    ConfigError
+        If the parts do not fit together.
+    """
+    profile = compile_profile(loaded)
+    axis = Axis(design(loaded), profile.counter_modulus)
+    bus = bus or loaded.config.bus
+    heard = list(profile.controller_identifiers)
+    if bus.interface not in _ECHOING:
+        heard.append(profile.command_id)  # which only somebody else can have sent
+    return ServoService(loaded.config.service, axis, profile, Link(bus, heard))
+
+
+def socket_path(config: Config) -> Path:
+    """Return the path of the control socket."""
+    return Path(config.service.socket) if config.service.socket else own_socket()

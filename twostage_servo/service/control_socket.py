@@ -1,0 +1,224 @@
+"""The control socket: a Unix socket on which each line is a JSON request and each answer a JSON line.
+
+Whoever may open the socket may command the axis: its folder and file permissions decide. A client that does not read is
+sent no more snapshots until it does; nothing here ever makes a tick wait.
+"""
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import structlog
+from pydantic import ValidationError
+
+from twostage_servo.axis.messages import Refused
+from twostage_servo.service.address import prepare_folder
+from twostage_servo.service.requests import REQUESTS, Request, WatchRequest
+from twostage_servo.service.snapshot import ready_for_json
+
+Answer = dict[str, Any]
+
+_LONGEST_LINE = 65_536
+_MOST_CLIENTS = 64
+_MOST_UNREAD = 262_144
+_RECORDS_A_PIECE = 50
+
+
+class SocketInUseError(OSError):
+    """Another service answers at the path of the control socket."""
+
+
+class ControlSocket:
+    """Serves requests and streams snapshots.
+
+    Parameters
+    ----------
+    path
+        Path of the socket.
+    handle
+        Carries out a request and returns its answer; raises :class:`Refused`.
+    """
+
+    def __init__(self, path: Path, handle: Callable[[Request], Answer]) -> None:
+        self.path = path
+        self._handle = handle
+        self._server: asyncio.Server | None = None
+        self._clients: set[_Client] = set()
+        self._serving: set[asyncio.Task[None]] = set()
+        self._log = structlog.get_logger().bind(room="control_socket")
+
+    async def start(self) -> None:
+        """Listen.
+
+        Raises
+        ------
+        SocketInUseError
+            If another service listens there.
+        OSError
+            If the path cannot be used.
+        """
+        prepare_folder(self.path)
+        _remove_if_dead(self.path)
+        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        previous = os.umask(0o117)  # owner and group only, from the first moment on
+        try:
+            listener.bind(str(self.path))
+        finally:
+            os.umask(previous)
+        self._server = await asyncio.start_unix_server(self._accept, sock=listener, limit=_LONGEST_LINE)
+
+    async def stop(self) -> None:
+        """Stop listening, end all connections, remove the socket."""
+        if self._server is None:
+            return
+        self._server.close()
+        for client in list(self._clients):
+            client.abort()
+        await asyncio.gather(*self._serving, return_exceptions=True)
+        self._server = None
+        self.path.unlink(missing_ok=True)
+
+    def publish(self, tick: int, snapshot: Callable[[], Answer]) -> None:
+        """Send a snapshot to the watchers for which one is due; make it only if there are any."""
+        line = None
+        for client in list(self._clients):
+            if client.every and tick >= client.due and not client.busy:
+                client.due = tick + client.every
+                line = line or encode({"event": "snapshot", **snapshot()})
+                client.send_unless_behind(line)
+
+    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.create_task(self._serve(reader, writer))
+        self._serving.add(task)
+        task.add_done_callback(self._serving.discard)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        client = _Client(writer)
+        if len(self._clients) >= _MOST_CLIENTS:
+            client.send(encode(_failure("too_many_clients", f"{_MOST_CLIENTS} clients are connected already")))
+            client.close()
+            return
+        self._clients.add(client)
+        try:
+            while line := await reader.readline():
+                answer = self._answer(client, line)
+                # A pass of the loop for each request, and for each piece of a long answer: a tick may come between.
+                client.busy = True
+                for piece in encode_in_pieces(answer):
+                    client.send(piece)
+                    await writer.drain()
+                    await asyncio.sleep(0)
+                client.busy = False
+        except ValueError:  # asyncio's answer to a line beyond the limit
+            client.send(encode(_failure("bad_request", f"a request must fit in {_LONGEST_LINE} bytes")))
+        except ConnectionError as error:
+            self._log.info("client lost", peer=client.peer, error=str(error))
+        finally:
+            self._clients.discard(client)
+            client.close()
+            with contextlib.suppress(OSError):  # the other side may be gone already, which ends it as well
+                await writer.wait_closed()
+
+    def _answer(self, client: "_Client", line: bytes) -> Answer:
+        try:
+            request = REQUESTS.validate_json(line)
+        except ValidationError as error:
+            return _failure("bad_request", _explain(error))
+        except RecursionError:
+            return _failure("bad_request", "the request is nested too deeply")
+        if request.op not in {"status", "watch", "recording"}:
+            self._log.info("request", peer=client.peer, **request.model_dump(exclude_none=True))
+        try:
+            answer = self._handle(request)
+        except Refused as error:
+            self._log.warning("refused", peer=client.peer, op=request.op, code=error.code, reason=str(error))
+            return _failure(error.code, str(error))
+        if isinstance(request, WatchRequest):
+            client.every = request.every
+        return {"ok": True, **answer}
+
+
+class _Client:
+    """One connection, with who it is and what it watches."""
+
+    def __init__(self, writer: asyncio.StreamWriter) -> None:
+        self._writer = writer
+        self.every = 0
+        self.due = 0
+        self.unsent = 0
+        self.busy = False
+        credentials = writer.get_extra_info("socket").getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
+        process, user, _ = struct.unpack("3i", credentials)
+        self.peer = f"pid {process} uid {user}"
+
+    def send(self, data: bytes) -> None:
+        if not self._writer.is_closing():
+            self._writer.write(data)
+
+    def send_unless_behind(self, line: bytes) -> None:
+        if self._writer.is_closing():
+            return
+        if self._writer.transport.get_write_buffer_size() > _MOST_UNREAD:
+            self.unsent += 1
+        else:
+            self._writer.write(line)
+
+    def close(self) -> None:
+        self._writer.close()
+
+    def abort(self) -> None:
+        self._writer.transport.abort()
+
+
+def encode(answer: Answer) -> bytes:
+    """Return an answer as a JSON line; NaN and infinity never leave."""
+    return json.dumps(answer, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+def encode_in_pieces(answer: Answer) -> Iterator[bytes]:
+    """Yield the same line in pieces of less than a millisecond's work each: a recording may hold thousands of ticks."""
+    records = answer.get("records")
+    if not records:
+        yield encode(answer)
+        return
+    head = {key: value for key, value in answer.items() if key != "records"}
+    yield encode(head).removesuffix(b"}\n") + b',"records":['
+    for start in range(0, len(records), _RECORDS_A_PIECE):
+        piece = [ready_for_json(record) for record in records[start : start + _RECORDS_A_PIECE]]
+        yield (b"," if start else b"") + encode({"": piece})[5:-3]
+    yield b"]}\n"
+
+
+def _failure(code: str, message: str) -> Answer:
+    return {"ok": False, "error": {"code": code, "message": message}}
+
+
+def _explain(error: ValidationError) -> str:
+    parts = []
+    for detail in error.errors(include_url=False, include_context=False)[:5]:
+        place = ".".join(str(part) for part in detail["loc"])
+        parts.append(f"{place}: {detail['msg']}" if place else detail["msg"])
+    return "; ".join(parts)
+
+
+def _remove_if_dead(path: Path) -> None:
+    if not path.exists():
+        return
+    if not path.is_socket():
+        raise SocketInUseError(f"{path} exists and is not a socket; remove it, or set service.socket to another path")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+            return
+    raise SocketInUseError(
+        f"another service answers at {path}; end it, or give this one its own path in service.socket"
+    )

@@ -1,0 +1,32 @@
+"""The table ``[service]``."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from twostage_servo.settings import Settings, quantity
+
+
+class ServiceSettings(Settings):
+    """The tick, the control socket and the log."""
+
+    tick_ms: float = quantity(
+        10.0, unit="ms", description="Period of the loop and of the law's design", ge=1.0, le=100.0
+    )
+    socket: str = Field(
+        "",
+        description="Path of the control socket; empty for the user's runtime folder",
+        max_length=100,
+        pattern=r"^[^\x00-\x1f]*$",
+    )
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least severe log line written")
+    recording_s: float = quantity(
+        2.0, unit="s", description="Length of the recording of the last ticks that a trip keeps", ge=0.1, le=600.0
+    )
+    shutdown_timeout_ms: float = quantity(
+        800.0,
+        unit="ms",
+        description="Longest braking when the service is asked to end; the drive is disabled then at the latest",
+        ge=0.0,
+        le=60_000.0,
+    )

@@ -1,0 +1,78 @@
+"""The state of service and axis as one JSON object: what `status` and `watch` show."""
+
+import math
+import os
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+from twostage_servo import __version__
+from twostage_servo.axis.state import DRIVEN
+
+if TYPE_CHECKING:
+    from twostage_servo.service.loop import ServoService
+
+
+def take_snapshot(service: "ServoService") -> dict[str, Any]:
+    """Return the state of service and axis, ready for JSON."""
+    axis, law = service.axis, service.axis.law
+    driven = axis.state in DRIVEN
+    age = axis.drive.monitor.ticks_since_fresh
+    counters = service.link.counters
+    return {
+        "version": __version__,
+        "pid": os.getpid(),
+        "uptime_s": round(service.uptime_s, 3),
+        "axis": {
+            "name": axis.settings.name,
+            "unit": axis.settings.unit,
+            "effort_unit": axis.settings.effort_unit,
+            "state": axis.state,
+            "position": None if axis.drive.is_stale else axis.drive.position,
+            "feedback_age_ms": None if age is None else round(1e3 * age * service.ticks.period_s, 3),
+            "velocity": law.observer.velocity if driven else None,
+            "disturbance": law.observer.disturbance if driven else None,
+            "effort": service.command.effort,
+            "target": law.target if driven else None,
+            "following_error": axis.following_error,
+            "saturated": driven and law.saturated,
+        },
+        "move": None
+        if axis.move is None
+        else {
+            "number": axis.move.number,
+            "start": axis.move.start,
+            "target": axis.move.target,
+            "velocity": axis.move.velocity,
+            "outcome": axis.move.outcome,
+        },
+        "trip": None
+        if axis.trip is None
+        else {
+            "code": axis.trip.code,
+            "cause": axis.trip.cause,
+            "next_action": axis.trip.next_action,
+            "tick": axis.trip.tick,
+        },
+        "ticks": {
+            "count": service.tick_count,
+            "missed": service.tick_missed,
+            "lateness_us": service.lateness.summary(),
+        },
+        "frames": {
+            "received": counters.received,
+            "sent": counters.sent,
+            "rejected": counters.rejected,
+            "dropped": counters.dropped,
+            "errors": counters.errors,
+            "overruns": counters.overruns,
+            "lost": axis.drive.monitor.lost,
+            "doubled": axis.drive.monitor.doubled,
+            "reordered": axis.drive.monitor.reordered,
+        },
+        "bus": {"open": service.bus_error is None, "error": service.bus_error, "drive_state": service.heartbeat_state},
+    }
+
+
+def ready_for_json(values: Iterable[Any]) -> list[Any]:
+    """Return values in which a number that is not finite, which JSON can't say, is null."""
+    return [None if isinstance(value, float) and not math.isfinite(value) else value for value in values]
