@@ -1,0 +1,138 @@
+"""`demo --fast`: the contract's JSON and the moves that it promises, in this process and in simulated time."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twostage_servo.cli.main import main
+
+QUANTUM = 0.001  # of the effort in the shipped DBC
+
+
+def demo(capsys: pytest.CaptureFixture[str], *arguments: str, exit_code: int = 0) -> dict[str, Any]:
+    assert main(["demo", "--fast", "--json", *arguments]) == exit_code
+    (line,) = capsys.readouterr().out.splitlines()
+    result: dict[str, Any] = json.loads(line)
+    return result
+
+
+def test_the_default_move(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys)
+    assert set(result) >= {
+        "target", "final_error", "overshoot", "settling_time_s", "peak_velocity", "changeover", "ticks", "frames",
+        "trip", "trace_sha256",
+    }  # fmt: skip
+    assert result["target"] == 400.0
+    assert abs(result["final_error"]) < 0.05
+    assert 0.0 <= result["overshoot"] < 4.0
+    assert 4.0 < result["settling_time_s"] < 7.0
+    assert 100.0 < result["peak_velocity"] < 105.0
+    # Equation (19) gives 54.53 mm; the change-over comes up to a tick, 1 mm, later. The estimate may be a quantum off.
+    assert 53.5 <= result["changeover"]["distance"] <= 54.54
+    assert result["changeover"]["effort_step"] <= result["changeover"]["ordinary_effort_step"] + QUANTUM
+    assert result["changeover"]["effort_step"] <= 2 * QUANTUM
+    assert 3.0 < result["changeover"]["time_s"] < 4.0
+    assert result["ticks"]["missed"] == 0
+    assert result["ticks"]["lateness_us"] == {"p50": 0.0, "p99": 0.0, "max": 0.0}
+    assert result["frames"]["sent"] >= result["ticks"]["count"] - 5
+    assert result["frames"]["rejected"] == 0
+    assert result["trip"] is None
+
+
+@pytest.mark.parametrize(
+    ("target", "velocity"), [(400, 100), (-400, 100), (5, 100), (0.05, 100), (2000, 100), (2000, 200), (-2000, 250)]
+)
+@pytest.mark.parametrize(
+    "drive",
+    [
+        (),
+        ("simulation.noise_std=0.0316", "simulation.quantum=0.01"),
+        ("simulation.gain=234", "simulation.pole=9.8"),
+    ],
+    ids=["nominal", "noise", "30 percent off"],
+)
+def test_moves_settle_with_no_trip(
+    capsys: pytest.CaptureFixture[str], target: float, velocity: float, drive: tuple[str, ...]
+) -> None:
+    overrides = [argument for override in drive for argument in ("--set", override)]
+    result = demo(capsys, "--to", str(target), "--velocity", str(velocity), *overrides)
+    assert result["trip"] is None
+    assert result["settling_time_s"] is not None
+    assert abs(result["final_error"]) <= 0.06
+    if changeover := result["changeover"]:
+        # Rounding of a difference of two rounded efforts: half a quantum each.
+        assert changeover["effort_step"] <= changeover["ordinary_effort_step"] + 1.01 * QUANTUM
+
+
+@pytest.mark.parametrize("example", ["example1.toml", "example2.toml"])
+def test_the_papers_examples_settle(capsys: pytest.CaptureFixture[str], example: str) -> None:
+    result = demo(capsys, "--config", example)
+    assert result["trip"] is None
+    assert abs(result["final_error"]) < 0.1
+
+
+def test_a_load_in_mid_move_is_worked_off(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys, "--set", "simulation.load=3", "--set", "simulation.load_at_s=2")
+    assert result["trip"] is None
+    assert abs(result["final_error"]) < 0.05
+
+
+def test_a_drive_mounted_the_other_way_round_can_be_tried(capsys: pytest.CaptureFixture[str]) -> None:
+    turned = demo(capsys, "--to", "60", "--set", "axis.plant.gain=-180", "--set", "simulation.gain=-180")
+    straight = demo(capsys, "--to", "60")
+    assert turned["trip"] is None
+    assert turned["final_error"] == pytest.approx(straight["final_error"], abs=2e-3)
+
+
+def test_the_trace_hash_depends_on_the_seed_and_on_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
+    noisy = ("--to", "60", "--set", "simulation.noise_std=0.01")
+    first, again = demo(capsys, *noisy), demo(capsys, *noisy)
+    other = demo(capsys, *noisy, "--set", "simulation.seed=2")
+    assert first == again
+    assert first["trace_sha256"] != other["trace_sha256"]
+    quiet = ("--to", "60")
+    assert demo(capsys, *quiet) == demo(capsys, *quiet, "--set", "simulation.seed=2")
+
+
+def test_a_trip_ends_with_exit_code_3_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys, "--set", "simulation.load=22", "--set", "simulation.load_at_s=2", exit_code=3)
+    assert result["trip"]["code"] == "following_error"
+    assert "mm" in result["trip"]["cause"]
+    assert "reset" in result["trip"]["next_action"]
+    assert result["settling_time_s"] is None
+
+
+def test_a_silent_drive_ends_with_exit_code_3(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys, "--set", "simulation.frame_loss=1", exit_code=3)
+    assert "no feedback" in result["failure"]
+    assert result["changeover"] is None
+
+
+@pytest.mark.parametrize("arguments", [("--to", "2501"), ("--to", "nan"), ("--velocity", "0"), ("--velocity", "inf")])
+def test_a_set_point_out_of_range_is_bad_usage(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...]) -> None:
+    result = demo(capsys, *arguments, exit_code=2)
+    assert result["error"]["code"] in {"position_limit", "velocity_limit"}
+
+
+def test_for_people_it_prints_a_summary(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--fast", "--to", "60"]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith("moved to 60 mm\ntrue position: within ±0.06 mm after")
+    assert "set-point; the effort changed by" in out
+
+
+def test_the_trace_holds_every_tick(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    result = demo(capsys, "--to", "60", "--trace", str(tmp_path / "trace.csv"))
+    with (tmp_path / "trace.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == result["ticks"]["count"]
+    last = [row for row in rows if row["state"] == "holding"][-1]
+    assert float(last["true_position"]) == pytest.approx(60.0 + result["final_error"], abs=1e-9)
+
+
+def test_a_trace_that_cannot_be_written_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    result = demo(capsys, "--to", "1", "--trace", str(tmp_path / "missing" / "trace.csv"), exit_code=3)
+    assert result["error"]["code"] == "trace"

@@ -1,0 +1,176 @@
+"""`check` and `design`: every broken file ends with exit code 2, its line and its key; the bus is never touched."""
+
+import json
+import re
+from importlib.resources import files
+from pathlib import Path
+
+import can
+import pytest
+
+from twostage_servo.cli.main import main
+
+SHIPPED = Path(str(files("twostage_servo_config")))
+DEMO = (SHIPPED / "demo.toml").read_text(encoding="utf-8")
+
+# (what is replaced in demo.toml, by what, the key that must be named, words that must be there)
+BROKEN = [
+    ("gain = 180.0 ", "gian = 180.0 ", "axis.plant.gian", "unknown key; did you mean axis.plant.gain"),
+    ("gain = 180.0 ", 'gain = "180" ', "axis.plant.gain", "a number is needed"),
+    ("gain = 180.0 ", "gain = 0.0 ", "axis.plant", "effort would not move this plant"),
+    ("gain = 180.0 ", "gain = nan ", "axis.plant.gain", "not finite"),
+    ("gain = 180.0 ", "gain = inf ", "axis.plant.gain", "not finite"),
+    ("gain = 180.0 ", "gain = true ", "axis.plant.gain", "a number is needed"),
+    ("gain = 180.0 ", "gain = [180.0] ", "axis.plant.gain", "a number is needed"),
+    ("pole = 14.0 ", "pole = -14.0 ", "axis.plant.pole", "at least 0.001"),
+    ("pole = 14.0 ", "pole = 0 ", "axis.plant.pole", "at least 0.001"),
+    ("effort = 24.0", "effort = -24.0", "axis.limits.effort", "greater than 0"),
+    ("effort = 24.0", "effort = 10.0", "axis.limits.effort", "lower the velocity limit"),
+    ("effort = 24.0", "effort = 40.0", "axis.limits.effort", "carries at most 32"),
+    ("effort = 24.0", "", "axis.limits.effort", "is missing"),
+    ("overspeed = 320.0", "overspeed = 200.0", "axis.limits", "is not above velocity"),
+    ("position_minimum = -2500.0", "position_minimum = 2600.0", "axis.limits", "is not below position_maximum"),
+    ("missed_ticks = 20", "missed_ticks = 5.5", "axis.limits.missed_ticks", "whole number"),
+    ("missed_ticks = 20", "missed_ticks = -1", "axis.limits.missed_ticks", "at least 0"),
+    ("cruise_velocity = 100.0", "cruise_velocity = 300.0", "axis", "is above limits.velocity"),
+    ('unit = "mm"', "unit = 5", "axis.unit", "a text"),
+    ('unit = "mm"', 'unit = "deg"', "axis.unit", "Set axis.unit to 'mm'"),
+    ('unit = "mm"', 'unit = ""', "axis.unit", "not empty"),
+    ("tick_ms = 10.0", "tick_ms = 0.0", "service.tick_ms", "at least 1"),
+    ("tick_ms = 10.0", "tick_ms = 10.0\ntick_ms = 20.0", "service.tick_ms", "each key and table is given once"),
+    ("[axis.plant]", "[axis.plannt]", "axis.plannt", "unknown key"),
+    ("[axis.limits]", "[axis.limits", "", "not TOML"),
+    ('interface = "virtual"', 'interface = "virtuall"', "bus.interface", "virtual"),
+    ('interface = "virtual"', "interface = 3", "bus.interface", "a text"),
+    (
+        "performance_index_ratio = 5.0e-5",
+        "performance_index_ratio = 10.0",
+        "axis.law.performance_index_ratio",
+        "unstable",
+    ),
+    (
+        "performance_index_ratio = 5.0e-5",
+        "performance_index_ratio = -1",
+        "axis.law.performance_index_ratio",
+        "at least",
+    ),
+    ("[simulation]", '[protocol]\ndbc = "missing.dbc"\n\n[simulation]', "protocol.dbc", "missing.dbc"),
+    (
+        "[simulation]",
+        '[protocol.feedback]\nposition = "Positoin"\n\n[simulation]',
+        "protocol.feedback.position",
+        "Position",
+    ),
+    (
+        "[simulation]",
+        '[protocol.command]\nmessage = "Command"\n\n[simulation]',
+        "protocol.command.message",
+        "DriveCommand",
+    ),
+    ("frame_loss = 0.0", "frame_loss = 1.5", "simulation.frame_loss", "at most 1"),
+    ("seed = 1", "seed = one", "", "not TOML"),
+]
+
+
+@pytest.fixture(autouse=True)
+def no_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    def touched(*_: object, **__: object) -> None:
+        raise AssertionError("the bus was touched")
+
+    monkeypatch.setattr(can, "Bus", touched)
+
+
+@pytest.mark.parametrize(("good", "bad", "key", "said"), BROKEN)
+def test_a_broken_file_is_refused_with_line_and_key(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, good: str, bad: str, key: str, said: str
+) -> None:
+    assert good in DEMO
+    text = DEMO.replace(good, bad, 1)
+    path = tmp_path / "axis.toml"
+    path.write_text(text, encoding="utf-8")
+    assert main(["check", str(path)]) == 2
+    errors = capsys.readouterr().err
+    assert "Traceback" not in errors
+    assert said in errors
+    place = re.search(rf"{re.escape(str(path))}:(\d+): {re.escape(key)}", errors)
+    assert place, errors
+    line = text.split("\n")[int(place[1]) - 1]
+    if bad and key:
+        assert key.rpartition(".")[2] in line or line.strip("[]") == key, line
+
+
+def test_problems_come_as_json(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "axis.toml"
+    path.write_text(DEMO.replace("gain = 180.0 ", "gian = 180.0 ", 1), encoding="utf-8")
+    assert main(["check", str(path), "--json"]) == 2
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert {problem["key"] for problem in error["problems"]} == {"axis.plant.gian", "axis.plant.gain"}
+    assert all(problem["line"] for problem in error["problems"])
+
+
+@pytest.mark.parametrize("name", ["demo", "two_processes", "socketcan", "example1", "example2"])
+def test_the_shipped_files_are_valid(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    assert main(["check", f"{name}.toml"]) == 0
+    assert "valid" in capsys.readouterr().out
+
+
+def test_an_override_at_fault_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "--set", "simulation.gian=3"]) == 2
+    assert "--set simulation.gian=3" in capsys.readouterr().err
+
+
+def test_every_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "--explain", "--json"]) == 0
+    rows = {row["key"]: row for row in json.loads(capsys.readouterr().out)["keys"]}
+    assert rows["axis.limits.velocity"]["unit"] == "axis unit/s"
+    for row in rows.values():
+        assert row["description"], row["key"]
+
+
+def test_the_design_of_both_examples(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "--json"]) == 0
+    first = json.loads(capsys.readouterr().out)
+    assert (
+        f"{first['gains']['f11']:.2e} {first['gains']['f12']:.2e} {first['gains']['f22']:.1e}"
+        == "3.78e-01 2.32e-02 6.9e-03"
+    )
+    assert first["changeover_distance"] == pytest.approx(54.53, abs=0.005)
+    assert main(["design", "--json", "--config", "example2.toml"]) == 0
+    second = json.loads(capsys.readouterr().out)
+    assert second["changeover_distance"] == pytest.approx(21.56, abs=0.005)
+    assert set(second["stages"]) == {"speed", "position"}
+
+
+def test_the_design_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "--velocity", "200"]) == 0
+    out = capsys.readouterr().out
+    assert "f11 0.3775" in out
+    assert "109.1 mm before the set-point at 200 mm/s" in out
+
+
+@pytest.mark.parametrize("velocity", ["0", "-5", "nan", "inf", "251"])
+def test_a_design_for_an_impossible_velocity_is_refused(capsys: pytest.CaptureFixture[str], velocity: str) -> None:
+    assert main(["design", "--velocity", velocity, "--json"]) == 2
+    assert json.loads(capsys.readouterr().out)["error"]["code"] == "velocity_limit"
+
+
+def test_two_configurations_at_once_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "demo.toml", "--config", "example1.toml"]) == 2
+    assert "name one configuration" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["run", "drive"])
+def test_processes_that_could_never_meet_are_refused(capsys: pytest.CaptureFixture[str], verb: str) -> None:
+    assert main([verb, "--config", "demo.toml"]) == 2
+    assert 'bus.interface = "virtual": the virtual bus exists inside one process only' in capsys.readouterr().err
+
+
+def test_an_effort_in_another_unit_than_the_drives_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    dbc = (SHIPPED / "servo_drive.dbc").read_text(encoding="utf-8")
+    (tmp_path / "drive.dbc").write_text(dbc.replace('[-32|32] "1"', '[-32|32] "Nm"'), encoding="utf-8")
+    path = tmp_path / "axis.toml"
+    path.write_text(DEMO.replace("[simulation]", '[protocol]\ndbc = "drive.dbc"\n\n[simulation]'), encoding="utf-8")
+    assert main(["check", str(path)]) == 2
+    assert "axis.effort_unit = \"V\": the drive's command signal is in 'Nm'" in capsys.readouterr().err

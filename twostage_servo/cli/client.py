@@ -1,0 +1,105 @@
+"""A client of the control socket, on plain blocking sockets and the standard library alone."""
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from twostage_servo.cli.output import CommandError, ExitCode
+
+Answer = dict[str, Any]
+
+_LONGEST_TICK_S = 0.1
+BAD_USAGE = frozenset({"bad_request", "position_limit", "velocity_limit"})
+"""Refusals for which the request alone is to blame, whatever the axis does."""
+
+
+class Client:
+    """One connection to a service.
+
+    Parameters
+    ----------
+    path
+        Path of the control socket.
+    timeout_s
+        Longest wait for an answer.
+    """
+
+    def __init__(self, path: Path, timeout_s: float = 5.0) -> None:
+        self.path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout_s)
+        self._timeout_s = timeout_s
+        try:
+            self._socket.connect(str(path))
+        except OSError as error:
+            self._socket.close()
+            if path.exists() and not path.is_socket():
+                raise CommandError(ExitCode.USAGE, "usage", f"{path} is not a socket") from error
+            hint = {
+                FileNotFoundError: "is the service running? Start it with `twostage-servo run --config FILE`, "
+                "or name its socket with --socket",
+                ConnectionRefusedError: "the service that made this socket has ended; start it again",
+                PermissionError: "you may not use it; its owner and group may, if they may enter its folder",
+            }.get(type(error), str(error))
+            raise CommandError(ExitCode.UNREACHABLE, "unreachable", f"no service answers at {path}: {hint}") from error
+        self._lines = self._socket.makefile("rb")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._lines.close()
+        self._socket.close()
+
+    def request(self, **fields: Any) -> Answer:
+        """Send one request and return its answer.
+
+        Raises
+        ------
+        CommandError
+            If the service refuses it or does not answer.
+        """
+        try:
+            self._socket.sendall(json.dumps(fields, allow_nan=False).encode() + b"\n")
+        except ValueError as error:
+            raise CommandError(ExitCode.USAGE, "bad_request", "a number must be finite") from error
+        except OSError as error:
+            raise self._lost(error) from error
+        answer = self._read()
+        while answer.get("event"):  # snapshots that were under way
+            answer = self._read()
+        if not answer["ok"]:
+            failure = answer["error"]
+            code = ExitCode.USAGE if failure["code"] in BAD_USAGE else ExitCode.FAILED
+            raise CommandError(code, failure["code"], failure["message"])
+        return answer
+
+    def watch(self, every: int) -> Iterator[Answer]:
+        """Yield a snapshot every so many ticks."""
+        self.request(op="watch", every=every)
+        self._socket.settimeout(self._timeout_s + every * _LONGEST_TICK_S)
+        while True:
+            snapshot = self._read()
+            del snapshot["event"]
+            yield snapshot
+
+    def _read(self) -> Answer:
+        try:
+            line = self._lines.readline()
+        except TimeoutError as error:
+            text = f"the service at {self.path} does not answer: it hangs, or its machine is overloaded"
+            raise CommandError(ExitCode.UNREACHABLE, "no_answer", text) from error
+        except OSError as error:
+            raise self._lost(error) from error
+        if not line:
+            raise self._lost("the connection was closed")
+        answer: Answer = json.loads(line)
+        return answer
+
+    def _lost(self, error: object) -> CommandError:
+        return CommandError(ExitCode.UNREACHABLE, "connection_lost", f"the service at {self.path} is gone: {error}")

@@ -1,0 +1,76 @@
+"""The options by which verbs name a configuration, and how they load it."""
+
+import argparse
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from twostage_servo.cli.output import CommandError, ExitCode
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from twostage_servo.config import Config, LoadedConfig
+
+
+def add_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
+    """Declare --config, --set and --json."""
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="FILE",
+        required=required,
+        help="TOML file, or the name of a shipped one" + ("" if required else " (default: the embedded demo.toml)"),
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        dest="overrides",
+        help="override a configuration key by its dotted path, such as simulation.noise_std=0.03; may be repeated",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def load_configuration(options: argparse.Namespace) -> "LoadedConfig[Config]":
+    """Load what the options name.
+
+    Raises
+    ------
+    CommandError
+        With every problem of the configuration.
+    """
+    from twostage_servo.config import load
+
+    with configuration_problems():
+        return load(find_configuration(options.config), options.overrides)
+
+
+@contextmanager
+def configuration_problems() -> "Iterator[None]":
+    """Let a configuration error end the verb as bad usage, with every problem in its text and its JSON.
+
+    Raises
+    ------
+    CommandError
+        In place of a :class:`twostage_servo.config.ConfigError`.
+    """
+    from twostage_servo.config import ConfigError
+
+    try:
+        yield
+    except ConfigError as error:
+        problems = [problem._asdict() for problem in error.problems]
+        text = f"the configuration cannot be used\n{error}"
+        raise CommandError(ExitCode.USAGE, "config", text, {"problems": problems}) from error
+
+
+def find_configuration(path: Path | None) -> Path | None:
+    """Return a path that exists as it is; a bare name that does not may be one of the shipped files."""
+    if path is None or path.exists() or path.parent != Path():
+        return path
+    import importlib.resources
+
+    shipped = Path(str(importlib.resources.files("twostage_servo_config"))) / path.name
+    return shipped if shipped.exists() else path

@@ -1,0 +1,104 @@
+"""`demo`: service and simulated drive in one process on the virtual bus; arms, moves, waits until there, stops."""
+
+import argparse
+import csv
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
+from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
+
+if TYPE_CHECKING:
+    from twostage_servo.cli.demonstration import Sample
+
+
+def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Declare the verb."""
+    demo = verbs.add_parser(
+        "demo",
+        help="move a simulated axis, all in this process",
+        description="Run the service and a simulated drive in one process on the virtual bus: arm, move, wait for the "
+        "position window, stop. Needs no hardware.",
+    )
+    add_options(demo, required=False)
+    demo.add_argument("--to", type=float, default=400.0, metavar="POSITION", help="set-point (default 400)")
+    demo.add_argument("--velocity", type=float, default=100.0, help="cruise velocity (default 100)")
+    demo.add_argument("--fast", action="store_true", help="run in simulated time")
+    demo.add_argument("--trace", type=Path, metavar="FILE", help="write every tick to a CSV file")
+    demo.set_defaults(run=_demo)
+
+
+def _demo(options: argparse.Namespace) -> ExitCode:
+    import asyncio
+
+    from twostage_servo.cli.demonstration import Demonstration, Sample
+    from twostage_servo.service.log import open_log
+    from twostage_servo.simulation.virtual_clock import VirtualClockLoop
+    from twostage_servo.ticks import real_time_loop
+
+    loaded = load_configuration(options)
+    if options.trace is not None:
+        _write_trace(options.trace, Sample._fields, [])  # a path that cannot be written is told before the move
+    level = loaded.config.service.log_level
+    writer = open_log("debug" if level == "debug" else "critical")  # a trip stands in the summary
+    progress = Progress(quiet=options.json or options.fast)
+    try:
+        with configuration_problems():
+            demo = Demonstration(loaded, options.to, options.velocity, progress)
+        with asyncio.Runner(loop_factory=VirtualClockLoop if options.fast else real_time_loop) as runner:
+            runner.run(demo.run())
+    finally:
+        progress.end()
+        writer.close()
+    if demo.refused is not None:
+        raise CommandError(ExitCode.USAGE, demo.refused.code, str(demo.refused))
+    if options.trace is not None:
+        _write_trace(options.trace, Sample._fields, demo.samples)
+        note(f"{len(demo.samples)} ticks written to {options.trace}")
+    result = demo.result()
+    if options.json:
+        print_json(result)
+    else:
+        print_line(_summary(result, loaded.config.axis.unit, fast=options.fast))
+    return ExitCode.DONE if demo.failure is None else ExitCode.FAILED
+
+
+def _write_trace(path: Path, fields: tuple[str, ...], samples: "list[Sample]") -> None:
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows([fields, *samples])
+    except OSError as error:
+        raise CommandError(ExitCode.FAILED, "trace", f"the trace cannot be written: {error}") from error
+
+
+def _summary(result: dict[str, Any], unit: str, *, fast: bool) -> str:
+    ticks, lateness, changeover = result["ticks"], result["ticks"]["lateness_us"], result["changeover"]
+    if result["final_error"] is None:
+        lines = [f"no move to {result['target']:g} {unit}: {result['failure']}"]
+    else:
+        settled = "never" if result["settling_time_s"] is None else f"after {result['settling_time_s']:.2f} s"
+        lines = [
+            "not done" if result["failure"] else f"moved to {result['target']:g} {unit}",
+            (
+                f"true position: within ±{result['settling_band']:g} {unit} {settled}, final error "
+                f"{result['final_error']:+.4f} {unit}, overshoot {result['overshoot']:.3f} {unit}, peak velocity "
+                f"{result['peak_velocity']:.1f} {unit}/s"
+            ),
+        ]
+        if result["failure"]:
+            lines[0] += f": {result['failure']}"
+    if changeover:
+        lines.append(
+            f"change-over at {changeover['time_s']:.2f} s, {changeover['distance']:.2f} {unit} before the "
+            f"set-point; the effort changed by {changeover['effort_step']:.3f} in that tick, "
+            f"by up to {changeover['ordinary_effort_step']:.3f} in those before"
+        )
+    clock = "simulated time" if fast else f"lateness p50 {lateness['p50']:g} µs, p99 {lateness['p99']:g} µs"
+    frames = result["frames"]
+    lines.append(
+        f"{ticks['count']} ticks, {ticks['missed']} missed, {clock}; {frames['received']} frames received, "
+        f"{frames['sent']} sent, {frames['rejected']} rejected"
+    )
+    if result["trip"]:
+        lines.append(f"next: {result['trip']['next_action']}")
+    return "\n".join(lines)

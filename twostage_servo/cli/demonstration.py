@@ -1,0 +1,209 @@
+"""One run of the demo: the real service and the real drive node on the virtual bus, and the true plant watched."""
+
+import asyncio
+import hashlib
+import itertools
+import struct
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import MOVING, State
+from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.cli.output import Progress, bar
+from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.service.assembly import build_service
+from twostage_servo.simulation.drive import SimulatedDrive
+from twostage_servo.simulation.node import DriveNode
+from twostage_servo.ticks import Tick
+
+_READY_S = 3.0
+"""Longest wait for the first feedback, and for arming."""
+_SETTLING_S = 15.0
+"""What a move may take beyond its cruise before it counts as failed."""
+_HOLD_S = 1.0
+"""How long the demo lets the axis hold before it looks at the final error."""
+_ORDINARY_TICKS = 50
+"""Ticks before the change-over whose largest change of effort counts as the ordinary one."""
+_OPERATING = MOVING | {State.HOLDING}
+
+
+class Sample(NamedTuple):
+    """One tick of the demo: the loop's view, and the true plant's state."""
+
+    time_s: float
+    state: str
+    changeovers: int
+    true_position: float
+    true_velocity: float
+    measured_position: float | None
+    estimated_position: float
+    estimated_velocity: float
+    estimated_disturbance: float
+    effort: float
+    speed_reference: float
+    following_error: float
+
+
+class _Move(NamedTuple):
+    """The move as the demo ran it."""
+
+    start_s: float
+    start: float
+    target: float
+
+
+class Demonstration:
+    """One run: the real service and the real drive node, and the bookkeeping of the true plant."""
+
+    def __init__(self, loaded: LoadedConfig[Config], target: float, velocity: float, progress: Progress) -> None:
+        self.samples: list[Sample] = []
+        self.failure: str | None = None
+        self.refused: Refused | None = None
+        self._config = loaded.config
+        self._target = target
+        self._velocity = velocity
+        self._progress = progress
+        self._bus = BusSettings(interface="virtual", channel="twostage-servo-demo")
+        self._service = build_service(loaded, self._bus)
+        self._service.publishers.append(self._on_tick)
+        self._service.frame_observers.append(self._on_frame)
+        self._hash = hashlib.sha256()
+        self._drive: SimulatedDrive | None = None
+        self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
+        self._move: _Move | None = None
+
+    async def run(self) -> None:
+        """Run the whole demo on the running loop."""
+        simulation = self._config.simulation
+        self._drive = SimulatedDrive(simulation, self._service.profile, asyncio.get_running_loop().time())
+        link = Link(self._bus, self._service.profile.drive_identifiers)
+        node = DriveNode(self._drive, link, simulation.cycle_ms / 1e3)
+        async with asyncio.TaskGroup() as group:
+            group.create_task(node.run())
+            serving = group.create_task(self._service.run())
+            try:
+                await self._operate()
+            except Refused as refused:
+                self.refused = refused
+            self._service.shut_down()
+            await serving
+            node.stop()
+
+    async def _operate(self) -> None:
+        axis = self._service.axis
+        if not await self._until(lambda: axis.ready_to_arm, _READY_S):
+            self.failure = f"no feedback from the simulated drive within {_READY_S:g} s"
+            return
+        axis.arm()
+        if not await self._until(lambda: axis.state is State.HOLDING or axis.trip is not None, _READY_S) or axis.trip:
+            self.failure = "the axis did not arm"
+            return
+        move = axis.move_to(self._target, self._velocity)
+        assert self._drive is not None  # noqa: S101 - run() has made it
+        self._move = _Move(self.samples[-1].time_s, self._drive.position, self._target)
+        expected_s = abs(self._target - move.start) / self._velocity + _SETTLING_S
+        if not await self._until(lambda: move.outcome != "moving", expected_s):
+            self.failure = (
+                f"the axis was not within {self._config.axis.window.position:g} {self._config.axis.unit} of "
+                f"the set-point after {expected_s:.1f} s"
+            )
+        elif move.outcome == "reached":
+            await self._until(lambda: axis.trip is not None, _HOLD_S)
+        if axis.trip is not None:
+            self.failure = f"the axis tripped: {axis.trip.cause}"
+
+    async def _until(self, condition: Callable[[], bool], longest_s: float) -> bool:
+        """Wait, tick by tick, until a condition holds; return whether it does."""
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[bool] = loop.create_future()
+        self._waiting = (condition, future, loop.time() + longest_s)
+        return await future
+
+    def _on_tick(self, tick: Tick) -> None:
+        assert self._drive is not None  # noqa: S101 - run() has made it
+        service, axis, observer = self._service, self._service.axis, self._service.axis.law.observer
+        self.samples.append(
+            Sample(
+                tick.index * service.ticks.period_s, axis.state, axis.law.changeovers, self._drive.position,
+                self._drive.velocity, axis.drive.position, observer.position, observer.velocity,
+                observer.disturbance, service.command.effort, axis.law.speed_reference, axis.following_error,
+            )
+        )  # fmt: skip
+        if self._move is not None and tick.index % 5 == 0:
+            self._show(self.samples[-1])
+        if self._waiting is not None:
+            condition, future, deadline_s = self._waiting
+            if not future.done() and (condition() or tick.deadline_s >= deadline_s):
+                future.set_result(condition())
+
+    def _on_frame(self, tick_index: int, direction: str, identifier: int, data: bytes) -> None:
+        self._hash.update(struct.pack("<q?IB", tick_index, direction == "sent", identifier, len(data)) + data)
+
+    def _show(self, sample: Sample) -> None:
+        assert self._move is not None  # noqa: S101 - the caller has looked
+        length = self._move.target - self._move.start
+        share = (sample.true_position - self._move.start) / length if length else 1.0
+        unit = self._config.axis.unit
+        self._progress.show(
+            f"{bar(share)} {sample.true_position:9.2f} {unit} {sample.true_velocity:8.1f} {unit}/s  {sample.state}"
+        )
+
+    def result(self) -> dict[str, Any]:
+        """Return the contract's JSON object."""
+        service, trip = self._service, self._service.axis.trip
+        return {
+            "target": self._target,
+            **self._score(),
+            "ticks": {
+                "count": service.tick_count,
+                "missed": service.tick_missed,
+                "lateness_us": service.lateness.summary(),
+            },
+            "frames": {name: getattr(service.link.counters, name) for name in ("received", "sent", "rejected")},
+            "trip": None if trip is None else {"code": trip.code, "cause": trip.cause, "next_action": trip.next_action},
+            "failure": self.failure,
+            "trace_sha256": self._hash.hexdigest(),
+        }
+
+    def _score(self) -> dict[str, Any]:
+        if self._move is None:
+            return dict.fromkeys(
+                ("final_error", "overshoot", "settling_band", "settling_time_s", "peak_velocity", "changeover")
+            )
+        start_s, start, target = self._move
+        samples = [s for s in self.samples if s.time_s >= start_s and s.state in _OPERATING]
+        direction = 1.0 if target >= start else -1.0
+        window = max(1e-3 * abs(target - start), self._config.axis.window.position)
+        outside = [index for index, s in enumerate(samples) if abs(s.true_position - target) > window]
+        if not outside:
+            settling_s: float | None = 0.0
+        elif outside[-1] + 1 < len(samples):
+            settling_s = samples[outside[-1] + 1].time_s - start_s
+        else:
+            settling_s = None
+        return {
+            "final_error": samples[-1].true_position - target,
+            "overshoot": max(0.0, *(direction * (s.true_position - target) for s in samples)),
+            "settling_band": window,
+            "settling_time_s": settling_s if settling_s is None else round(settling_s, 6),
+            "peak_velocity": max(abs(s.true_velocity) for s in samples),
+            "changeover": self._changeover(samples),
+        }
+
+    def _changeover(self, samples: list[Sample]) -> dict[str, float] | None:
+        assert self._move is not None  # noqa: S101 - the caller has looked
+        steps = [abs(self._sent(now.effort) - self._sent(before.effort)) for before, now in itertools.pairwise(samples)]
+        for index, (before, now) in enumerate(itertools.pairwise(samples)):
+            if now.changeovers > before.changeovers:
+                return {
+                    "time_s": round(now.time_s - self._move.start_s, 6),
+                    "distance": abs(self._move.target - now.true_position),
+                    "effort_step": steps[index],
+                    "ordinary_effort_step": max(steps[max(0, index - _ORDINARY_TICKS) : index], default=0.0),
+                }
+        return None
+
+    def _sent(self, effort: float) -> float:
+        quantum = self._service.profile.effort_quantum
+        return round(effort / quantum) * quantum if quantum else effort

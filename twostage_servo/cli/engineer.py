@@ -1,0 +1,169 @@
+"""The engineer's verbs, which touch no bus: `check` a configuration, and show the `design` that follows from it."""
+
+import argparse
+import math
+from typing import TYPE_CHECKING, Any
+
+from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
+from twostage_servo.cli.output import CommandError, ExitCode, print_json, print_line
+
+if TYPE_CHECKING:
+    from twostage_servo.axis.design import AxisDesign
+
+
+def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Declare the verbs."""
+    check = verbs.add_parser(
+        "check",
+        help="check a configuration",
+        description="Check a configuration, its DBC and the design that follows from it; the bus is not touched.",
+    )
+    check.add_argument("file", nargs="?", help="the configuration; as --config")
+    check.add_argument("--explain", action="store_true", help="list every key with its unit, bounds and meaning")
+    add_options(check, required=False)
+    check.set_defaults(run=_check)
+    design = verbs.add_parser(
+        "design",
+        help="show gains, change-over distance, poles and margins",
+        description="Show what the configured plant, weights and noise lead to; the bus is not touched.",
+    )
+    add_options(design, required=False)
+    design.add_argument(
+        "--velocity", type=float, help="velocity for the change-over distance (default: the cruise velocity)"
+    )
+    design.set_defaults(run=_design)
+
+
+def _check(options: argparse.Namespace) -> ExitCode:
+    from pathlib import Path
+
+    from twostage_servo.config import Config, describe
+    from twostage_servo.service.assembly import compile_profile, design
+
+    if options.explain:
+        rows = describe(Config)
+        if options.json:
+            print_json({"keys": [{name: getattr(row, name) for name in row.__slots__} for row in rows]})
+        else:
+            for row in rows:
+                print_line(_explain(row))
+        return ExitCode.DONE
+    if options.file is not None and options.config is not None:
+        raise CommandError(ExitCode.USAGE, "usage", "name one configuration, FILE or --config FILE")
+    if options.file is not None:
+        options.config = Path(options.file)
+    loaded = load_configuration(options)
+    with configuration_problems():
+        profile = compile_profile(loaded)
+        axis_design = design(loaded)
+    config = loaded.config
+    summary = {
+        "config": loaded.source,
+        "valid": True,
+        "axis": config.axis.name,
+        "bus": {"interface": config.bus.interface, "channel": config.bus.channel},
+        "frames": {
+            "command": profile.command_id.identifier,
+            "feedback": profile.feedback_id.identifier,
+            "effort_quantum": profile.effort_quantum,
+            "position_quantum": profile.position_quantum,
+        },
+        "changeover_distance": axis_design.changeover_distance(config.axis.cruise_velocity),
+    }
+    if options.json:
+        print_json(summary)
+    else:
+        print_line(
+            f"{loaded.source}: valid. Axis {config.axis.name} on {config.bus.interface} {config.bus.channel}, command "
+            f"0x{profile.command_id.identifier:x}, feedback 0x{profile.feedback_id.identifier:x}; change-over "
+            f"{summary['changeover_distance']:.4g} {config.axis.unit} before the set-point at "
+            f"{config.axis.cruise_velocity:g} {config.axis.unit}/s."
+        )
+    return ExitCode.DONE
+
+
+def _explain(row: Any) -> str:
+    bounds = ", ".join(text for text in (row.lower, row.upper) if text)
+    kind = f"{row.type}{f' in {row.unit}' if row.unit and row.unit != '1' else ''}{f', {bounds}' if bounds else ''}"
+    default = "required" if row.default is None else f"default {row.default}"
+    return f"{row.key}\n    {row.description}\n    {kind}; {default}"
+
+
+def _design(options: argparse.Namespace) -> ExitCode:
+    from twostage_servo.service.assembly import design
+
+    loaded = load_configuration(options)
+    with configuration_problems():
+        axis_design = design(loaded)
+    axis = loaded.config.axis
+    velocity = axis.cruise_velocity if options.velocity is None else options.velocity
+    if not 0.0 < velocity <= axis.limits.velocity:
+        text = f"--velocity {velocity:g}: it must be greater than 0 and at most {axis.limits.velocity:g} {axis.unit}/s"
+        raise CommandError(ExitCode.USAGE, "velocity_limit", text)
+    report = _report(axis_design, velocity)
+    if options.json:
+        print_json(report)
+    else:
+        print_line(_as_text(report, axis_design))
+    return ExitCode.DONE
+
+
+def _report(design: "AxisDesign", velocity: float) -> dict[str, Any]:
+    from twostage_servo.control.margins import closed_loop_poles, loop_margins
+    from twostage_servo.control.two_stage import Stage
+
+    stages = {}
+    for stage in Stage:
+        loop = (design.plant, design.gains, design.kalman, design.noise, stage)
+        margins = loop_margins(*loop)
+        stages[stage.name.lower()] = {
+            "gain_margin": _finite(margins.gain_margin),
+            "gain_reduction_margin": margins.gain_reduction_margin,
+            "phase_margin_deg": _finite(margins.phase_margin_deg),
+            "delay_margin_ms": _finite(1e3 * margins.delay_margin_s),
+            "modulus_margin": margins.modulus_margin,
+            "poles": [[pole.real, pole.imag] for pole in sorted(closed_loop_poles(*loop), key=abs, reverse=True)],
+        }
+    return {
+        "period_ms": 1e3 * design.period_s,
+        "plant": {name: getattr(design.plant, name) for name in ("a12", "a22", "b1", "b2")},
+        "gains": {"f11": design.gains.f11, "f12": design.gains.f12, "f22": design.gains.f22},
+        "velocity": velocity,
+        "changeover_distance": design.changeover_distance(velocity),
+        "kalman_gain": {"predictor": design.kalman.predictor, "current": design.kalman.current},
+        "stages": stages,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _as_text(report: dict[str, Any], design: "AxisDesign") -> str:
+    axis = design.settings
+    gains, kalman = report["gains"], report["kalman_gain"]["predictor"]
+    lines = [
+        f"plant      {axis.plant.gain:g} / (s (s + {axis.plant.pole:g})), sampled every {report['period_ms']:g} ms",
+        (
+            f"gains      f11 {gains['f11']:.4g}, f12 {gains['f12']:.4g}, f22 {gains['f22']:.4g}"
+            f"   (Q/R {axis.law.performance_index_ratio:g})"
+        ),
+        (
+            f"changeover {report['changeover_distance']:.4g} {axis.unit} before the set-point at "
+            f"{report['velocity']:g} {axis.unit}/s"
+        ),
+        f"observer   predictor gain {kalman[0]:.4g}, {kalman[1]:.4g}, {kalman[2]:.4g}",
+    ]
+    for name, stage in report["stages"].items():
+        radius = math.hypot(*stage["poles"][0])
+        lines.append(
+            f"{name + ' stage':14} gain margin {_or_none(stage['gain_margin'])}, phase margin "
+            f"{_or_none(stage['phase_margin_deg'])}°, delay margin {_or_none(stage['delay_margin_ms'])} ms, "
+            f"modulus margin {stage['modulus_margin']:.3g}; slowest pole {radius:.4f} "
+            f"(time constant {-report['period_ms'] / math.log(radius):.4g} ms)"
+        )
+    return "\n".join(lines)
+
+
+def _or_none(value: float | None) -> str:
+    return "unlimited" if value is None else f"{value:.3g}"

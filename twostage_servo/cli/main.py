@@ -1,0 +1,80 @@
+# PYTHON_ARGCOMPLETE_OK
+"""``twostage-servo``: the verbs, and what is common to them."""
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TextIO
+
+from twostage_servo import __version__
+from twostage_servo.cli import demo, engineer, operate, serve
+from twostage_servo.cli.output import CommandError, ExitCode, note, print_json
+
+_EPILOG = """\
+exit codes: 0 done, 2 bad usage or configuration, 3 the axis tripped or did not do it, 4 no service answers
+start here: twostage-servo demo
+"""
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the whole command line."""
+    parser = argparse.ArgumentParser(
+        prog="twostage-servo",
+        description="Two-stage servo control over CAN: the service, its simulated drive, and the commands to both.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"twostage-servo {__version__}")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for group in (demo, serve, engineer, operate):
+        group.add_verbs(verbs)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; return its exit code."""
+    _replace_closed_streams()
+    parser = build_parser()
+    if "_ARGCOMPLETE" in os.environ:
+        import argcomplete
+
+        argcomplete.autocomplete(parser)
+    options = parser.parse_args(arguments)
+    try:
+        return int(options.run(options))
+    except CommandError as error:
+        if error.code == "output":
+            _discard_output()
+        elif options.json:
+            print_json({"ok": False, "error": {"code": error.code, "message": str(error), **error.details}})
+            return error.exit_code
+        note(f"twostage-servo {options.verb}: {error}")
+        return error.exit_code
+    except BrokenPipeError:  # whoever read our output has enough
+        _discard_output()
+        return ExitCode.DONE
+    except KeyboardInterrupt:
+        return 130
+
+
+def _replace_closed_streams() -> None:
+    """Give a program that was started without stdout or stderr something to write to."""
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, _nowhere())
+
+
+def _discard_output() -> None:
+    """Keep the interpreter's last flush from failing once more."""
+    sys.stdout = _nowhere()
+
+
+def _nowhere() -> TextIO:
+    return Path(os.devnull).open("w", encoding="utf-8")
+
+
+def entry_point() -> None:
+    """Console script."""
+    sys.exit(main())

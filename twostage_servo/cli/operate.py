@@ -1,0 +1,238 @@
+"""The operator's verbs, clients of a running service: status, watch, arm, disarm, move, stop, reset."""
+
+import argparse
+import csv
+import itertools
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from twostage_servo.cli.configuration import find_configuration
+from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+
+if TYPE_CHECKING:
+    from twostage_servo.cli.client import Answer, Client
+
+_ARMED = {"holding", "moving_speed_stage", "moving_position_stage", "stopping", "disarming"}
+
+
+def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Declare the verbs."""
+    status = _verb(verbs, "status", _status, "show the state of service and axis")
+    status.add_argument(
+        "--recording", type=Path, metavar="FILE", help="write the last ticks, or those before the trip, to a CSV file"
+    )
+    watch = _verb(verbs, "watch", _watch, "follow the axis live")
+    watch.add_argument("--every", type=int, default=10, metavar="TICKS", help="ticks between two lines (default 10)")
+    watch.add_argument("--count", type=int, metavar="N", help="end after N lines")
+    _verb(verbs, "arm", _arm, "enable the drive and hold the position at which the axis is")
+    _verb(verbs, "disarm", _disarm, "bring the axis to rest and disable the drive")
+    move = _verb(verbs, "move", _move, "move to a set-point")
+    move._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - argparse takes -1e3 for an option
+    move.add_argument("position", type=float, nargs="?", help="absolute set-point, in the axis' unit")
+    move.add_argument("--by", type=float, metavar="DISTANCE", help="relative to the set-point in force")
+    move.add_argument("--velocity", type=float, help="cruise velocity (default: the config's axis.cruise_velocity)")
+    move.add_argument("--wait", action="store_true", help="show progress until the position is reached")
+    _verb(verbs, "stop", _stop, "bring the axis to rest and hold it there")
+    _verb(verbs, "reset", _reset, "clear a trip; the axis is disarmed afterwards")
+
+
+def _verb(verbs: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser:
+    parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    parser.add_argument("--socket", type=Path, metavar="PATH", help="control socket of the service")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="take the socket's path from this configuration")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.set_defaults(run=run)
+    return parser
+
+
+def _connect(options: argparse.Namespace) -> "Client":
+    from twostage_servo.cli.client import Client
+    from twostage_servo.service.address import find_socket
+
+    path = options.socket or _socket_of(options.config) or find_socket()
+    return Client(path)
+
+
+def _socket_of(config: Path | None) -> Path | None:
+    config = find_configuration(config)
+    if config is None:
+        return None
+    import tomllib  # the whole loader would take longer than the command
+
+    try:
+        table = tomllib.loads(config.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise CommandError(ExitCode.USAGE, "config", f"{config} cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise CommandError(ExitCode.USAGE, "config", f"{config} is not TOML: {error}; `check` says more") from error
+    service = table.get("service", {})
+    named = service.get("socket", "") if isinstance(service, dict) else None
+    if not isinstance(named, str):
+        raise CommandError(ExitCode.USAGE, "config", f"{config}: service.socket is not a text; `check` says more")
+    return Path(named) if named else None
+
+
+def _status(options: argparse.Namespace) -> ExitCode:
+    with _connect(options) as client:
+        status = client.request(op="status")
+        if options.recording is not None:
+            recording = client.request(op="recording")
+            _write_csv(options.recording, recording["fields"], recording["records"])
+    if options.json:
+        print_json(status)
+    else:
+        print_line(_describe(status))
+    return ExitCode.FAILED if status["trip"] else ExitCode.DONE
+
+
+def _write_csv(path: Path, fields: list[str], records: list[list[Any]]) -> None:
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            csv.writer(file).writerows([fields, *records])
+    except OSError as error:
+        raise CommandError(ExitCode.FAILED, "recording", f"the recording cannot be written: {error}") from error
+    note(f"{len(records)} ticks written to {path}")
+
+
+def _watch(options: argparse.Namespace) -> ExitCode:
+    if not 1 <= options.every <= 10_000:
+        raise CommandError(ExitCode.USAGE, "usage", f"--every {options.every}: from 1 to 10000 ticks are possible")
+    if options.count is not None and options.count < 1:
+        raise CommandError(ExitCode.USAGE, "usage", f"--count {options.count}: at least 1 line is needed")
+    with _connect(options) as client:
+        for snapshot in itertools.islice(client.watch(options.every), options.count):
+            if options.json:
+                print_json(snapshot)
+            else:
+                print_line(_one_line(snapshot))
+    return ExitCode.DONE
+
+
+def _arm(options: argparse.Namespace) -> ExitCode:
+    with _connect(options) as client:
+        client.request(op="arm")
+        return _finish(options, _wait_while(client, {"arming", "stopping"}))
+
+
+def _disarm(options: argparse.Namespace) -> ExitCode:
+    with _connect(options) as client:
+        client.request(op="disarm")
+        return _finish(options, _wait_while(client, {"disarming", "tripped_quick_stop"}))
+
+
+def _stop(options: argparse.Namespace) -> ExitCode:
+    with _connect(options) as client:
+        client.request(op="stop")
+        return _finish(options, _wait_while(client, {"stopping"}))
+
+
+def _reset(options: argparse.Namespace) -> ExitCode:
+    with _connect(options) as client:
+        return _finish(options, client.request(op="reset"))
+
+
+def _move(options: argparse.Namespace) -> ExitCode:
+    if (options.position is None) == (options.by is None):
+        raise CommandError(ExitCode.USAGE, "usage", "give either a position or --by DISTANCE")
+    wanted = {"position": options.position, "by": options.by, "velocity": options.velocity}
+    with _connect(options) as client:
+        answer = client.request(op="move", **{key: value for key, value in wanted.items() if value is not None})
+        if options.wait:
+            answer = _follow(client, answer["move"]["number"], quiet=options.json)
+    return _finish(options, answer)
+
+
+def _follow(client: "Client", number: int, *, quiet: bool) -> "Answer":
+    progress = Progress(quiet=quiet)
+    snapshot: Answer = {}
+    try:
+        for snapshot in client.watch(5):
+            progress.show(_progress_line(snapshot))
+            if snapshot["move"] is None or snapshot["move"]["number"] != number:
+                raise CommandError(
+                    ExitCode.FAILED,
+                    "replaced",
+                    "another client's set-point has replaced this one",
+                    {"status": snapshot},
+                )
+            if snapshot["move"]["outcome"] != "moving":
+                break
+    except KeyboardInterrupt:
+        note("\nno longer watching; the axis goes on to its set-point. `twostage-servo stop` stops it.")
+        raise
+    finally:
+        progress.end()
+    return {"ok": True} | snapshot
+
+
+def _wait_while(client: "Client", states: set[str]) -> "Answer":
+    """Return the first state that is none of these; the service bounds each of them, or the operator with Ctrl-C."""
+    status = client.request(op="status")
+    if status["axis"]["state"] in states:
+        status = next(seen for seen in client.watch(1) if seen["axis"]["state"] not in states)
+    return {"ok": True} | status
+
+
+def _finish(options: argparse.Namespace, status: "Answer") -> ExitCode:
+    if options.json:
+        print_json(status)
+    else:
+        print_line(_one_line(status))
+    if options.verb == "arm" and status["axis"]["state"] != "holding":
+        return ExitCode.FAILED
+    not_reached = status["move"] is not None and status["move"]["outcome"] in {"stopped", "tripped"}
+    failed = status["trip"] or (options.verb == "move" and not_reached)
+    return ExitCode.FAILED if failed and options.verb != "disarm" else ExitCode.DONE
+
+
+def _number(value: float | None, unit: str) -> str:
+    return f"unknown {unit}" if value is None else f"{value:.3f} {unit}"
+
+
+def _one_line(status: "Answer") -> str:
+    axis, move, trip = status["axis"], status["move"], status["trip"]
+    text = f"{axis['name']}: {axis['state']} at {_number(axis['position'], axis['unit'])}"
+    if axis["velocity"] is not None and axis["state"] != "holding":
+        text += f", {axis['velocity']:.1f} {axis['unit']}/s"
+    if move and axis["state"] in _ARMED and move["outcome"] != "replaced":
+        text += f"; set-point {move['target']:g} {axis['unit']} {move['outcome']}"
+    if trip:
+        text += f"\ntrip {trip['code']}: {trip['cause']}\nnext: {trip['next_action']}"
+    return text
+
+
+def _progress_line(snapshot: "Answer") -> str:
+    axis, move = snapshot["axis"], snapshot["move"]
+    if move is None or axis["position"] is None:
+        return _one_line(snapshot)
+    length = move["target"] - move["start"]
+    share = (axis["position"] - move["start"]) / length if length else 1.0
+    return f"{bar(share)} {axis['position']:10.3f} {axis['unit']} of {move['target']:g}, {axis['state']}"
+
+
+def _describe(status: "Answer") -> str:
+    axis, ticks, frames, bus = status["axis"], status["ticks"], status["frames"], status["bus"]
+    lateness = ticks["lateness_us"]
+    rows = [
+        ("axis", _one_line(status)),
+        ("effort", f"{axis['effort']:.3f} {axis['effort_unit']}" + (" (at its limit)" if axis["saturated"] else "")),
+        ("following error", f"{axis['following_error']:.3f} {axis['unit']}"),
+        ("bus", "open" if bus["open"] else f"closed: {bus['error']}"),
+        (
+            "frames",
+            (
+                f"{frames['received']} received, {frames['sent']} sent, {frames['rejected']} rejected, "
+                f"{frames['lost']} lost, {frames['dropped']} dropped"
+            ),
+        ),
+        (
+            "ticks",
+            (
+                f"{ticks['count']}, {ticks['missed']} missed; lateness p50 {lateness['p50']:g}, "
+                f"p99 {lateness['p99']:g}, max {lateness['max']:g} µs"
+            ),
+        ),
+        ("service", f"version {status['version']}, process {status['pid']}, up {status['uptime_s']:.0f} s"),
+    ]
+    return "\n".join(f"{name:16} {text}" for name, text in rows)
