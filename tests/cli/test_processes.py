@@ -145,10 +145,11 @@ def position_at_rest(listener: can.BusABC) -> float:
     reports: list[float] = []
     while (message := listener.recv(LONGEST_S)) is not None:
         if message.arbitration_id == identifier:
-            position: Any = database.decode_message(identifier, bytes(message.data))["Position"]
+            report: Any = database.decode_message(identifier, bytes(message.data))
+            position = float(report["Position"])
             reports = [*reports, position] if position in reports else [position]
             if len(reports) == 30:
-                return float(position)
+                return position
     raise AssertionError("the drive fell silent")
 
 

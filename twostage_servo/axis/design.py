@@ -10,11 +10,10 @@ from twostage_servo.control.observer import (
     DisturbanceObserver,
     KalmanGain,
     NoiseModel,
-    Triple,
     kalman_gain,
 )
 from twostage_servo.control.optimal import ServoGains, servo_gains
-from twostage_servo.control.plant import DiscretePlant, Plant
+from twostage_servo.control.plant import DiscretePlant, Plant, Triple
 from twostage_servo.control.two_stage import Stage, TwoStageLaw
 
 REST_SHARE = 0.01

@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from twostage_servo.control.plant import DiscretePlant
+from twostage_servo.control.plant import DiscretePlant, Triple
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-Triple = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,9 +1,9 @@
 """Optimal servo gains by the discrete Riccati equation, and the change-over distance: equations (7)-(13) and (19)."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from twostage_servo.control.plant import DiscretePlant
+from twostage_servo.control.plant import DiscretePlant, Triple
 
 if TYPE_CHECKING:
     import numpy as np
@@ -38,11 +38,14 @@ class ServoGains:
         return self.f11 * period_s / self.f22
 
 
-def servo_gains(plant: DiscretePlant, ratio: float) -> ServoGains:
+WEIGHTS: Final[Triple] = (1.0, 0.0, 1.0)
+"""Diagonal of Q / q over ``[dx1, dx2, e]``: the reading that reproduces every printed digit of (36) (erratum 3)."""
+
+
+def servo_gains(plant: DiscretePlant, ratio: float, weights: Triple = WEIGHTS) -> ServoGains:
     """Solve for the gains that minimise the sum of ``x_p' Q x_p + R du^2``, equation (11), read as in erratum 1.
 
-    ``x_p = [dx1, dx2, e(k-1)]`` is incremental already, ``Q = q diag(1, 0, 1)`` and R = 1: the reading that reproduces
-    every printed digit of equation (36) (erratum 3).
+    ``x_p = [dx1, dx2, e(k-1)]`` is incremental already, ``Q = q diag(weights)`` and R = 1.
 
     Parameters
     ----------
@@ -50,6 +53,8 @@ def servo_gains(plant: DiscretePlant, ratio: float) -> ServoGains:
         The sampled plant.
     ratio
         Performance index ratio q/R, greater than 0: larger is quicker.
+    weights
+        Diagonal of Q / q, not negative, the last greater than 0.
 
     Raises
     ------
@@ -63,7 +68,7 @@ def servo_gains(plant: DiscretePlant, ratio: float) -> ServoGains:
 
     state, effort = incremental_model(plant)
     try:
-        cost = solve_discrete_are(state, effort, ratio * np.diag([1.0, 0.0, 1.0]), np.eye(1))
+        cost = solve_discrete_are(state, effort, ratio * np.diag(weights), np.eye(1))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise ValueError(
             f"no optimal gains exist in double precision for the performance index ratio {ratio:g} and this plant "

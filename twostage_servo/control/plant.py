@@ -3,6 +3,9 @@
 import math
 from dataclasses import dataclass
 
+Triple = tuple[float, float, float]
+"""Three numbers, one per state."""
+
 
 @dataclass(frozen=True, slots=True)
 class Plant:

@@ -59,6 +59,8 @@ class TwoStageLaw:
         Whether the effort limit cut the last effort.
     changeovers
         Number of changes from the speed to the position stage so far.
+    sample_age
+        1: :meth:`step` takes the sample of the period before (see :class:`~twostage_servo.control.law.Law`).
     """
 
     __slots__ = (
@@ -66,6 +68,7 @@ class TwoStageLaw:
         "_rest_velocity", "_stopping", "_sum", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer",
         "period_s", "saturated", "speed_reference", "stage", "target",
     )  # fmt: skip
+    sample_age = 1
     _STATE = (
         "stage", "target", "cruise_velocity", "speed_reference", "effort", "saturated",
         "_sum", "_offset", "_ramp", "_braking", "_stopping", "_direction",
@@ -105,6 +108,11 @@ class TwoStageLaw:
         self._offset = -position
         self._braking = self._stopping = False
         self._direction = 1.0
+
+    @property
+    def velocity(self) -> float:
+        """Estimated velocity that the last effort was made with, in axis unit/s."""
+        return self.observer.velocity
 
     @property
     def distance(self) -> float:

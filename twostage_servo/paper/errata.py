@@ -1,0 +1,181 @@
+"""The paper's slips: what is printed, what it is read as, why, and what the print would do.
+
+One list for everybody: the report and ``docs/law.md`` are made from it, and each entry that changes a number names the
+law, as printed, that shows by how much.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from twostage_servo.control.yardsticks.conventional import ConventionalTwoStage
+from twostage_servo.control.yardsticks.transcription import Reading
+from twostage_servo.control.yardsticks.velocity import speed_sensor
+from twostage_servo.paper.methods import Builder, transcribed
+
+
+@dataclass(frozen=True, slots=True)
+class Erratum:
+    """One slip.
+
+    Attributes
+    ----------
+    number
+        Its number here and in the code's comments.
+    where
+        Equation or section of the paper.
+    printed, read_as, why, effect
+        For people; formulas in Unicode.
+    as_printed
+        Builds the law with this one slip as printed; None where no number of a run depends on it.
+    noise_variance
+        Noise of the run as printed, in mm², where that is the slip.
+    baseline
+        The method that `as_printed` is compared with.
+    """
+
+    number: int
+    where: str
+    printed: str
+    read_as: str
+    why: str
+    effect: str
+    as_printed: Builder | None = None
+    noise_variance: float | None = None
+    baseline: str = "proposed"
+
+
+ERRATA: Final = (
+    Erratum(
+        1,
+        "(11)",
+        "cost on Δx_p",
+        "cost on x_p",
+        "x_p = [Δx; e] is incremental already",
+        "no gains exist: a constant error costs nothing, f22 is 0 and a pole stays at z = 1",
+        transcribed(Reading(cost="increment")),
+    ),
+    Erratum(
+        2,
+        "(12), (14), (15), (29), (30), (33)",
+        "+ f11 x1 + f12 x2",
+        "- f11 x1 - f12 x2 + f22 Σe",
+        "the gains printed in (36) are positive, and feedback has to oppose the motion",
+        "positive feedback: the axis runs away",
+        transcribed(Reading(feedback_sign=1)),
+    ),
+    Erratum(
+        3,
+        "(36)",
+        "Q/R = 5.0e-5, no matrix Q",
+        "Q = q·diag(1, 0, 1), R = 1",
+        "with weight on Δy and e every printed digit of (36) comes out; with weight on e alone f11 is 0.37746, which "
+        "prints as 3.77e-1",
+        "small: a change in the third digit of the gains",
+        transcribed(Reading(weights=(0.0, 0.0, 1.0))),
+    ),
+    Erratum(
+        4,
+        "(17)",
+        "v T_c",
+        "v T_s",
+        "T_c is defined nowhere; one sampling period after the change-over the axis has gone v T_s",
+        "none: a misprint",
+    ),
+    Erratum(
+        5,
+        "(25)",
+        "lower right entry of A_o is 0",
+        "1 (disturbance_memory)",
+        "0 is a disturbance that is forgotten every tick and never estimated; 1 is the random walk of every "
+        "disturbance observer",
+        "Example 2: the speed stage oscillates. Example 1, where the model is perfect, has a quieter estimate; but a "
+        "load of 1 V makes it cruise 12.7 mm/s off its speed",
+        transcribed(Reading(disturbance_memory=0.0)),
+    ),
+    Erratum(
+        6,
+        "(26), (27)",
+        "K of (27) in (26)",
+        "A_o K in (26)",
+        "(26) is the predictor form, (27) the gain of the filter form; the predictor's is A_o K",
+        "small here: the noise is filtered with a gain that is optimal for nothing",
+        transcribed(Reading(observer_form="mixed")),
+    ),
+    Erratum(
+        7,
+        "(28)",
+        "no - X",
+        "A_o X A_o' - A_o X C_o' (C_o X C_o' + R_o)⁻¹ C_o X A_o' + G W G' - X = 0",
+        "the covariance of a steady state reproduces itself",
+        "no solution exists: the left side without - X is positive definite for every X",
+        transcribed(Reading(covariance="as printed")),
+    ),
+    Erratum(
+        8,
+        "(22), (37)",
+        "G W G' = 0.1, G_o = B_o",
+        "G W G' = 0.1·I(3), the column G_o = B",
+        "a number is no 3 by 3 matrix, and B_o of (25) has 3 rows where G_o needs 2. Read as a variance of the "
+        "disturbance alone, the observer trusts its model so much that Example 2 becomes unstable",
+        "read as diag(0, 0, 0.1): the speed stage of Example 2 swings by hundreds of mm/s",
+        transcribed(Reading(process_variance=(0.0, 0.0, 0.1))),
+    ),
+    Erratum(
+        9,
+        "Example 1",
+        "white noise of power 1.0e-5",
+        "variance 1e-3 mm²",
+        "the power of a band-limited white noise block is a density: variance = power / T_s",
+        "a variance of 1e-5 mm² would make every velocity ten times quieter, the differentiated one too",
+        transcribed(Reading()),
+        noise_variance=1e-5,
+    ),
+    Erratum(
+        10,
+        "(14), Fig. 1",
+        "Σe in both stages",
+        "Σ(v - x_o2) in the speed stage, Σ(r - y) in the position stage, one sum through both",
+        "C_m' = [0 1 0] in Fig. 1 picks the velocity; with e = r - y of (3) there is no speed control",
+        "the velocity follows the remaining distance, not v: a thousand mm/s instead of a hundred",
+        transcribed(Reading(speed_stage_sum="position error")),
+    ),
+    Erratum(
+        11,
+        "(33)",
+        "F_2 M",
+        "F_1 M",
+        "M shifts a position, and F_1 is what multiplies positions",
+        "the effort jumps by f11 (r - p) or so at the change-over: over a hundred volts",
+        transcribed(Reading(offset_gain="F2")),
+    ),
+    Erratum(
+        12,
+        "(31)-(34)",
+        "M = -(r - p)",
+        "M = -x_o1 at the tick of the change-over",
+        "the change-over falls up to one tick beyond p; the printed M takes it to be exactly there",
+        "a step of the effort of up to f11 v T_s, and an overshoot that depends on where within a tick the change-over "
+        "falls",
+        transcribed(Reading(offset="set-point")),
+    ),
+    Erratum(
+        13,
+        "Example 2",
+        "Q/R = 5.0e-3, no gains",
+        "as printed",
+        "not Example 1's ratio: the gains of (36) are not those of Example 2",
+        "none: gains 1.430, 0.0689, 0.0663 and p = 21.6 mm, against 54.5 mm in Example 1",
+    ),
+    Erratum(
+        14,
+        "(15)",
+        "Σ to k - 1 in u_p(k+1)",
+        "Σ to k, as in (33), whose + f22 p is e(k)",
+        "f22 p cancels f11 v T_s: that is how (19) comes about",
+        "the conventional law's effort falls by f11 v T_s at the change-over",
+        lambda example, sensor: ConventionalTwoStage(
+            example.model, example.gains, speed_sensor(sensor), sum_as_printed=True
+        ),
+        baseline="conventional_two_output",
+    ),
+)

@@ -1,0 +1,70 @@
+"""The methods that the paper compares, each built for an example."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from twostage_servo.control.law import Law
+from twostage_servo.control.observer import DisturbanceObserver
+from twostage_servo.control.two_stage import TwoStageLaw
+from twostage_servo.control.yardsticks.conventional import ConventionalTwoStage
+from twostage_servo.control.yardsticks.optimal_servo import OptimalServo
+from twostage_servo.control.yardsticks.pid import Pid
+from twostage_servo.control.yardsticks.transcription import Reading, TranscribedLaw
+from twostage_servo.control.yardsticks.velocity import Differentiator, speed_sensor
+from twostage_servo.paper.examples import NOISE, PERIOD_S, Example
+
+Sensor = Callable[[], float]
+"""Reads the true velocity, in mm/s."""
+Builder = Callable[[Example, Sensor], Law]
+
+AS_PRINTED: Final = Reading(disturbance_memory=0.0, offset="set-point")
+"""The two slips that change what the law does, as printed, and nothing else (errata 5 and 12)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """One method: its title, where its velocity comes from, and how to build it."""
+
+    title: str
+    velocity_from: str
+    build: Builder
+    two_stage: bool = True
+
+
+def transcribed(reading: Reading) -> Builder:
+    """Return the builder of the proposed law, read in some way."""
+    return lambda example, _: TranscribedLaw(example.model, example.ratio, NOISE.measurement_variance, reading)
+
+
+def _proposed(example: Example, _: Sensor) -> Law:
+    observer = DisturbanceObserver(example.model, example.kalman.predictor, NOISE.disturbance_memory)
+    return TwoStageLaw(observer, example.gains, PERIOD_S)
+
+
+def _two_output(example: Example, sensor: Sensor) -> Law:
+    return ConventionalTwoStage(example.model, example.gains, speed_sensor(sensor))
+
+
+def _one_output(example: Example, _: Sensor) -> Law:
+    return ConventionalTwoStage(example.model, example.gains, Differentiator(PERIOD_S))
+
+
+def _model_difference(example: Example, sensor: Sensor) -> Law:
+    return ConventionalTwoStage(example.model, example.gains, speed_sensor(sensor), difference_gain=example.gains.f11)
+
+
+METHODS: Final[dict[str, Method]] = {
+    "pid": Method("PID", "differentiated", lambda example, _: Pid(example.gains, PERIOD_S), two_stage=False),
+    "optimal": Method(
+        "optimal servo, II",
+        "speed sensor",
+        lambda example, sensor: OptimalServo(example.gains, speed_sensor(sensor)),
+        two_stage=False,
+    ),
+    "conventional_two_output": Method("conventional two-stage, III", "speed sensor", _two_output),
+    "conventional_differentiated": Method("the same, one output", "differentiated", _one_output),
+    "conventional_model_difference": Method("with model difference, [6]", "speed sensor", _model_difference),
+    "proposed": Method("proposed, IV", "estimated", _proposed),
+    "proposed_as_printed": Method("proposed, as printed", "estimated", transcribed(AS_PRINTED)),
+}

@@ -1,0 +1,96 @@
+"""The runs behind the report: all methods, a constant disturbance, many set-points, every slip as printed."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from twostage_servo.control.yardsticks.transcription import Reading, UnsolvableError
+from twostage_servo.paper.errata import ERRATA, Erratum
+from twostage_servo.paper.examples import EXAMPLES, VELOCITY, Example
+from twostage_servo.paper.experiment import Run, simulate
+from twostage_servo.paper.methods import METHODS, Builder, transcribed
+from twostage_servo.paper.scores import Scores, score
+
+LOAD: Final = 1.0
+"""Constant disturbance of that study, in V."""
+SET_POINTS: Final = (50.0, 100.0, 200.0, 400.0, 600.0, 800.0, 1000.0, 1250.0, 1500.0, 1750.0, 2000.0)
+PHASES: Final = 20
+"""Parts of a tick that the change-over is put at."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """All methods on one example: run and figures by the method's name."""
+
+    example: Example
+    runs: dict[str, Run]
+    scores: dict[str, Scores]
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """Overshoot in mm by set-point in mm, for one method."""
+
+    name: str
+    set_points: tuple[float, ...]
+    overshoots: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SlipEffect:
+    """What one slip does on one example: the figures as printed and those corrected, or why there are none."""
+
+    erratum: Erratum
+    example: Example
+    corrected: Scores
+    printed: Scores | None
+    unsolvable: str | None
+
+
+def compare(example: Example, *, load: float = 0.0) -> Comparison:
+    """Run every method on an example, under a constant load in V."""
+    runs = {name: simulate(method.build, example, load=load) for name, method in METHODS.items()}
+    return Comparison(example, runs, {name: score(run) for name, run in runs.items()})
+
+
+def overshoot_by_set_point(example: Example, method: str) -> Curve:
+    """Run one method without noise over :data:`SET_POINTS`."""
+    return _curve(example, METHODS[method].build, method, SET_POINTS)
+
+
+def overshoot_by_phase(example: Example) -> tuple[Curve, Curve]:
+    """Shift the set-point through the way of one tick, with the hand-over corrected and printed (erratum 12)."""
+    distance = VELOCITY * example.model.period_s
+    set_points = tuple(400.0 + distance * part / PHASES for part in range(PHASES + 1))
+    readings = {"corrected": Reading(), "printed": Reading(offset="set-point")}
+    exact, printed = (_curve(example, transcribed(reading), name, set_points) for name, reading in readings.items())
+    return exact, printed
+
+
+def slip_effects() -> Iterator[SlipEffect]:
+    """Run every slip that changes a number, as printed, on both examples."""
+    corrected = {
+        (example.name, name): score(simulate(METHODS[name].build, example))
+        for example in EXAMPLES
+        for name in {erratum.baseline for erratum in ERRATA}
+    }
+    for erratum in ERRATA:
+        if erratum.as_printed is None:
+            continue
+        for example in EXAMPLES:
+            baseline = corrected[example.name, erratum.baseline]
+            noise = erratum.noise_variance if example.noise_variance else None
+            try:
+                printed = score(simulate(erratum.as_printed, example, noise_variance=noise))
+            except UnsolvableError as reason:
+                yield SlipEffect(erratum, example, baseline, None, str(reason))
+            else:
+                yield SlipEffect(erratum, example, baseline, printed, None)
+
+
+def _curve(example: Example, build: Builder, name: str, set_points: Sequence[float]) -> Curve:
+    overshoots = (
+        score(simulate(build, example, set_point=r, noise_variance=0.0, duration_s=r / VELOCITY + 6.0)).overshoot
+        for r in set_points
+    )
+    return Curve(name, tuple(set_points), tuple(overshoots))
