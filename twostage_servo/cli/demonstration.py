@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.canbus.profile import DriveProfile
 from twostage_servo.cli.output import Progress, bar
 from twostage_servo.config import Config, LoadedConfig
 from twostage_servo.service.assembly import build_service
@@ -72,6 +73,11 @@ class Demonstration:
         self._drive: SimulatedDrive | None = None
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
         self._move: _Move | None = None
+
+    @property
+    def profile(self) -> DriveProfile:
+        """The compiled protocol, with the quanta of its signals."""
+        return self._service.profile
 
     async def run(self) -> None:
         """Run the whole demo on the running loop."""

@@ -88,8 +88,9 @@ ERRATA: Final = (
         "1 (disturbance_memory)",
         "0 is a disturbance that is forgotten every tick and never estimated; 1 is the random walk of every "
         "disturbance observer",
-        "Example 2: the speed stage oscillates. Example 1, where the model is perfect, has a quieter estimate; but a "
-        "load of 1 V makes it cruise 12.7 mm/s off its speed",
+        "what the model does not explain is taken for velocity. Example 2: the speed stage swings up to 230 mm/s and "
+        "then cruises at 184, where the estimate says 100. Example 1, where the model is perfect, has a quieter "
+        "estimate; but a load of 1 V makes it cruise 12.7 mm/s off its speed",
         transcribed(Reading(disturbance_memory=0.0)),
     ),
     Erratum(
@@ -179,3 +180,14 @@ ERRATA: Final = (
         baseline="conventional_two_output",
     ),
 )
+
+
+def errata_table() -> str:
+    """Return the list as a Markdown table, as it stands in ``docs/law.md``."""
+    rows = (
+        (str(erratum.number), erratum.where, erratum.printed, erratum.read_as, erratum.why, erratum.effect)
+        for erratum in ERRATA
+    )
+    lines = (" | ".join(row) for row in (("no.", "where", "printed", "read as", "why", "effect"), *rows))
+    head, *body = (f"| {line} |" for line in lines)
+    return "\n".join((head, "|---|---|---|---|---|---|", *body))

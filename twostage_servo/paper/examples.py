@@ -51,6 +51,11 @@ class Example:
         object.__setattr__(self, "kalman", kalman_gain(model, NOISE))
 
     @property
+    def short_title(self) -> str:
+        """Its title without what it is about: ``Example 1``."""
+        return self.title.partition(":")[0]
+
+    @property
     def changeover_distance(self) -> float:
         """Equation (19) for :data:`VELOCITY`, in mm."""
         return VELOCITY * self.gains.changeover_time_s(PERIOD_S)

@@ -57,14 +57,14 @@ def _model_difference(example: Example, sensor: Sensor) -> Law:
 METHODS: Final[dict[str, Method]] = {
     "pid": Method("PID", "differentiated", lambda example, _: Pid(example.gains, PERIOD_S), two_stage=False),
     "optimal": Method(
-        "optimal servo, II",
+        "optimal servo",
         "speed sensor",
         lambda example, sensor: OptimalServo(example.gains, speed_sensor(sensor)),
         two_stage=False,
     ),
-    "conventional_two_output": Method("conventional two-stage, III", "speed sensor", _two_output),
-    "conventional_differentiated": Method("the same, one output", "differentiated", _one_output),
-    "conventional_model_difference": Method("with model difference, [6]", "speed sensor", _model_difference),
-    "proposed": Method("proposed, IV", "estimated", _proposed),
+    "conventional_two_output": Method("conventional, speed sensor", "speed sensor", _two_output),
+    "conventional_differentiated": Method("conventional, differentiated", "differentiated", _one_output),
+    "conventional_model_difference": Method("conventional, difference [6]", "speed sensor", _model_difference),
+    "proposed": Method("proposed", "estimated", _proposed),
     "proposed_as_printed": Method("proposed, as printed", "estimated", transcribed(AS_PRINTED)),
 }

@@ -30,9 +30,11 @@ class Scores:
         Largest velocity beyond the cruise velocity before the change-over (in the whole run, for laws without one), at
         least 0.
     velocity_noise_rms
-        Standard deviation of the velocity that the law uses, from 1.5 to 3.0 s.
+        Standard deviation of the velocity that the law uses, from 1.5 to 3.0 s, whatever the axis does then.
     velocity_error_rms
         Root mean square of the true velocity minus the cruise velocity, in the same window.
+    cruise_velocity
+        Mean of the true velocity from 1.5 to 3.0 s, or to the change-over if that comes first; None if it comes before.
     changeover_effort_step
         Step of the effort into the first tick whose effort the position stage makes. 0 for a law that has no
         change-over (`changeovers` 0).
@@ -44,6 +46,8 @@ class Scores:
         0 or 1.
     diverged
         Whether the run was given up because the plant had run away; the figures then are those until there.
+    duration_s
+        Length of the run.
     """
 
     overshoot: float
@@ -51,11 +55,13 @@ class Scores:
     speed_overshoot: float
     velocity_noise_rms: float
     velocity_error_rms: float
+    cruise_velocity: float | None
     changeover_effort_step: float
     ordinary_effort_step: float
     final_error: float
     changeovers: int
     diverged: bool
+    duration_s: float
 
     def as_json(self) -> dict[str, Any]:
         """Return the figures by name."""
@@ -77,11 +83,13 @@ def score(run: Run) -> Scores:
         speed_overshoot=max(0.0, *(direction * velocity - run.reference for velocity in run.velocity[: before + 1])),
         velocity_noise_rms=pstdev(used) if used else 0.0,
         velocity_error_rms=math.sqrt(fmean((velocity - reference) ** 2 for velocity in cruise)) if cruise else 0.0,
+        cruise_velocity=fmean(run.velocity[first : min(last, before)]) if before > first else None,
         changeover_effort_step=step,
         ordinary_effort_step=ordinary,
         final_error=fmean(errors[-round(FINAL_WINDOW_S / PERIOD_S) :]),
         changeovers=0 if run.changeover is None else 1,
         diverged=run.diverged,
+        duration_s=round(PERIOD_S * len(run.position), 9),
     )
 
 

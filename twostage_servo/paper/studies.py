@@ -1,12 +1,12 @@
 """The runs behind the report: all methods, a constant disturbance, many set-points, every slip as printed."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from twostage_servo.control.yardsticks.transcription import Reading, UnsolvableError
 from twostage_servo.paper.errata import ERRATA, Erratum
-from twostage_servo.paper.examples import EXAMPLES, VELOCITY, Example
+from twostage_servo.paper.examples import EXAMPLES, MODEL, PERIOD_S, VELOCITY, Example
 from twostage_servo.paper.experiment import Run, simulate
 from twostage_servo.paper.methods import METHODS, Builder, transcribed
 from twostage_servo.paper.scores import Scores, score
@@ -67,6 +67,15 @@ def overshoot_by_phase(example: Example) -> tuple[Curve, Curve]:
     return exact, printed
 
 
+def steady_error(example: Example, load: float) -> float:
+    """Return the error that the conventional law keeps under a constant load (V), position minus set-point in mm.
+
+    The effort that balances the load drives the model, which has none, at ``v_m = load gain / pole``. Its position
+    grows by ``v_m T_s`` a tick for ever, and the effort stays constant only if ``f22 e = f11 v_m T_s``.
+    """
+    return -load * MODEL.gain / MODEL.pole * example.gains.changeover_time_s(PERIOD_S)
+
+
 def slip_effects() -> Iterator[SlipEffect]:
     """Run every slip that changes a number, as printed, on both examples."""
     corrected = {
@@ -86,6 +95,31 @@ def slip_effects() -> Iterator[SlipEffect]:
                 yield SlipEffect(erratum, example, baseline, None, str(reason))
             else:
                 yield SlipEffect(erratum, example, baseline, printed, None)
+
+
+@dataclass(frozen=True, slots=True)
+class Studies:
+    """Everything that was run; each tuple has one entry per example."""
+
+    comparisons: tuple[Comparison, ...]
+    under_load: tuple[Comparison, ...]
+    by_set_point: tuple[tuple[Curve, ...], ...]
+    by_phase: tuple[tuple[Curve, Curve], ...]
+    slips: tuple[SlipEffect, ...]
+
+
+def run_all(progress: Callable[[str], None]) -> Studies:
+    """Run everything; `progress` is told what comes next."""
+    progress("both examples, every method")
+    comparisons = tuple(compare(example) for example in EXAMPLES)
+    progress("the same under a constant load")
+    under_load = tuple(compare(example, load=LOAD) for example in EXAMPLES)
+    progress("overshoot against set-point")
+    by_set_point = tuple(tuple(overshoot_by_set_point(example, name) for name in METHODS) for example in EXAMPLES)
+    progress("overshoot against where within a tick the change-over falls")
+    by_phase = tuple(overshoot_by_phase(example) for example in EXAMPLES)
+    progress("every slip as printed")
+    return Studies(comparisons, under_load, by_set_point, by_phase, tuple(slip_effects()))
 
 
 def _curve(example: Example, build: Builder, name: str, set_points: Sequence[float]) -> Curve:

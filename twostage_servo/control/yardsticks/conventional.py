@@ -13,8 +13,8 @@ class ConventionalTwoStage:
 
     Speed stage, (14): ``u = I - f12 x2``, and I adds up ``f22 (v - x2)``. When no more than p remains, (18), the model
     is started at ``x_m(k+1) = [v T_s, v]``, (16)-(17), positions counted from the one at that tick. Position stage,
-    (15): ``u = I - f11 x_m1 - f12 x_m2``, and I adds up ``f22 (r - y)``, from the tick of the change-over on: its ``f22 p``
-    cancels ``f11 v T_s`` (erratum 14), so the effort goes on without a step.
+    (15): ``u = I - f11 x_m1 - f12 x_m2``, and I adds up ``f22 (r - y)``, from the tick of the change-over on: its
+    ``f22 p`` cancels ``f11 v T_s`` (erratum 14), so the effort goes on without a step.
 
     The model is fed with the same effort as the plant and never sees the plant again. A constant disturbance that the
     effort has to balance moves the model for ever, so its position runs away, and I has to follow it: the error that

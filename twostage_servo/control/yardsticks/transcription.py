@@ -99,8 +99,8 @@ def read_kalman_gain(plant: DiscretePlant, measurement_variance: float, reading:
     Raises
     ------
     UnsolvableError
-        For (28) without ``- X``: its left side is the covariance that a filter predicts, ``A P A' + G W G'`` with P >= 0;
-        that is 0 for no X when G W G' > 0.
+        For (28) without ``- X``: its left side is the covariance that a filter predicts, ``A P A' + G W G'`` with
+        P >= 0; that is 0 for no X when G W G' > 0.
     """
     if reading.covariance == "as printed":
         raise UnsolvableError("(28) without - X: its left side is positive definite for every X, and cannot be 0")

@@ -1,0 +1,86 @@
+"""The paper's examples through the whole service, over CAN frames in simulated time, beside the law alone."""
+
+import asyncio
+from pathlib import Path
+from typing import Any
+
+from twostage_servo.axis.state import MOVING, State
+from twostage_servo.cli.configuration import find_configuration
+from twostage_servo.cli.demonstration import Demonstration
+from twostage_servo.cli.output import Progress
+from twostage_servo.config import load
+from twostage_servo.paper.examples import SET_POINT, VELOCITY, Example
+from twostage_servo.paper.experiment import Run, simulate
+from twostage_servo.paper.frames import EXTRA_DELAY_MS, FramesComparison
+from twostage_servo.paper.methods import METHODS
+from twostage_servo.simulation.virtual_clock import VirtualClockLoop
+
+
+def compare_with_frames(example: Example) -> FramesComparison:
+    """Run the example's shipped configuration over frames and the law alone, and compare tick by tick.
+
+    Raises
+    ------
+    RuntimeError
+        If the axis trips or does not arrive.
+    """
+    quiet = _demonstrate(example, "simulation.noise_std=0")
+    profile = quiet.profile
+    position_quantum, effort_quantum = profile.position_quantum or 0.0, profile.effort_quantum or 0.0
+    alone = simulate(METHODS["proposed"].build, example, noise_variance=0.0)
+    rounded = simulate(
+        METHODS["proposed"].build,
+        example,
+        noise_variance=0.0,
+        position_quantum=position_quantum,
+        effort_quantum=effort_quantum,
+    )
+    position_difference, effort_difference = _differences(quiet, alone)
+    _, explained = _differences(quiet, rounded)
+    return FramesComparison(
+        position_quantum=position_quantum,
+        effort_quantum=effort_quantum,
+        position_difference=position_difference,
+        effort_difference=effort_difference,
+        effort_difference_explained=explained,
+        frames=_figures(_demonstrate(example)),
+        delayed=_figures(_demonstrate(example, f"simulation.delay_ms={EXTRA_DELAY_MS}")),
+    )
+
+
+def _demonstrate(example: Example, *overrides: str) -> Demonstration:
+    demonstration = Demonstration(
+        load(find_configuration(Path(f"{example.name}.toml")), list(overrides)),
+        SET_POINT,
+        VELOCITY,
+        Progress(quiet=True),
+    )
+    with asyncio.Runner(loop_factory=VirtualClockLoop) as runner:
+        runner.run(demonstration.run())
+    if demonstration.failure is not None:
+        raise RuntimeError(f"{example.name}.toml over frames{[*overrides] or ''}: {demonstration.failure}")
+    return demonstration
+
+
+def _differences(demonstration: Demonstration, run: Run) -> tuple[float, float]:
+    """Return the largest differences of position (mm) and effort (V), from the first tick of the move on.
+
+    The drive samples when a command arrives, and the loop reads that sample at the next tick.
+    """
+    samples = demonstration.samples
+    start = next(index for index, sample in enumerate(samples) if sample.state in MOVING)
+    position = effort = 0.0
+    for now, after, alone_position, alone_effort in zip(
+        samples[start:], samples[start + 1 :], run.position, run.effort, strict=False
+    ):
+        if after.state not in MOVING | {State.HOLDING}:
+            break
+        assert after.measured_position is not None  # noqa: S101 - every tick of a move has its sample, in simulated time
+        position = max(position, abs(after.measured_position - alone_position))
+        effort = max(effort, abs(now.effort - alone_effort))
+    return position, effort
+
+
+def _figures(demonstration: Demonstration) -> dict[str, Any]:
+    result = demonstration.result()
+    return {name: result[name] for name in ("overshoot", "settling_time_s", "final_error")}
