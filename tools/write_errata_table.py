@@ -1,4 +1,4 @@
-"""Write the table of errata into docs/law.md, from the list in twostage_servo/paper/errata.py: run it after a change."""
+"""Write the table of errata into docs/law.md, from twostage_servo/paper/errata.py: run it after a change there."""
 
 from pathlib import Path
 

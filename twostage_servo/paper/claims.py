@@ -141,7 +141,7 @@ def _behind_frames(frames: Mapping[str, FramesComparison]) -> Iterator[Claim]:
         yield Claim(
             f"{example.short_title}: behind CAN frames it is the same law; the frames' rounding is all the difference",
             f"positions differ by {1e3 * pair.position_difference:.2g} µm; with the same rounding the efforts differ "
-            f"by {pair.effort_difference_explained:.0e} V",
+            f"by {pair.effort_difference_explained:.1g} V",
             pair.position_difference < 5.0 * pair.position_quantum and pair.effort_difference_explained < 1e-9,
         )
 
