@@ -10,6 +10,7 @@ import pytest
 from twostage_servo.canbus.profile import DriveProfile
 from twostage_servo.canbus.protocol import ProtocolSettings
 from twostage_servo.cli.main import build_parser
+from twostage_servo.paper.errata import errata_table
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -85,3 +86,9 @@ def test_the_example_of_another_drive_compiles(tmp_path: Path) -> None:
     profile = DriveProfile.compile(settings, tmp_path, "mm")
     assert profile.encode_command(-1.5, enable=True, counter=0).hex() == "6aff0104"
     assert profile.heartbeat_id is None
+
+
+def test_the_derivation_holds_the_list_of_errata() -> None:
+    page = (ROOT / "docs" / "law.md").read_text(encoding="utf-8")
+    table = page[page.index("<!-- errata: begin -->\n") : page.index("<!-- errata: end -->")]
+    assert table == f"<!-- errata: begin -->\n{errata_table()}\n", "run tools/write_errata_table.py"

@@ -56,7 +56,7 @@ ERRATA: Final = (
     ),
     Erratum(
         2,
-        "(12), (14), (15), (29), (30), (33)",
+        "(12), (14), (15), (29), (30), (33), (34)",
         "+ f11 x1 + f12 x2",
         "- f11 x1 - f12 x2 + f22 Σe",
         "the gains printed in (36) are positive, and feedback has to oppose the motion",
@@ -152,9 +152,10 @@ ERRATA: Final = (
     Erratum(
         12,
         "(31)-(34)",
-        "M = -(r - p)",
-        "M = -x_o1 at the tick of the change-over",
-        "the change-over falls up to one tick beyond p; the printed M takes it to be exactly there",
+        "M = -[r - p, 0]",
+        "M = -[x_o1, 0, 0], taken at the tick of the change-over",
+        "the change-over falls up to one tick beyond p; the printed M takes it to be exactly there, and has two entries "
+        "where x_o has three",
         "a step of the effort of up to f11 v T_s, and an overshoot that depends on where within a tick the change-over "
         "falls",
         transcribed(Reading(offset="set-point")),
@@ -178,6 +179,14 @@ ERRATA: Final = (
             example.model, example.gains, speed_sensor(sensor), sum_as_printed=True
         ),
         baseline="conventional_two_output",
+    ),
+    Erratum(
+        15,
+        "(20), (22), (24)",
+        "w for the noise on the plant, for that of the extended model, and for the third state",
+        "two noises, and the disturbance as the third state",
+        "a state cannot be its own driving noise; (28) has a noise on each of the three states",
+        "none: a name for three things",
     ),
 )
 
