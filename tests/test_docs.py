@@ -54,7 +54,7 @@ def test_every_command_that_is_shown_parses(page: Path) -> None:
             if program.endswith("twostage-servo"):
                 parser.parse_args(arguments)
             elif program == "demo":
-                parser.parse_args([program, *[argument for argument in arguments if argument != "--config"]])
+                parser.parse_args([program, *arguments])
 
 
 def test_every_verb_is_in_the_readme_and_every_one_takes_json() -> None:
