@@ -153,6 +153,20 @@ def position_at_rest(listener: can.BusABC) -> float:
     raise AssertionError("the drive fell silent")
 
 
+def commands_until_disabled(listener: can.BusABC) -> list[tuple[float, int]]:
+    """Read the bus until three commands in a row disable the drive that was enabled; return (effort, enable) of all."""
+    database = dbc()
+    identifier = database.get_message_by_name("DriveCommand").frame_id
+    commands: list[tuple[float, int]] = []
+    while (message := listener.recv(LONGEST_S)) is not None:
+        if message.arbitration_id == identifier:
+            command: Any = database.decode_message(identifier, bytes(message.data), decode_choices=False)
+            commands.append((command["Effort"], command["Enable"]))
+            if [enable for _, enable in commands[-3:]] == [0, 0, 0] and 1 in {enable for _, enable in commands}:
+                return commands
+    raise AssertionError(f"the drive was never disabled: {commands[-5:]}")
+
+
 @pytest.fixture
 def machine(tmp_path: Path) -> Iterator[Machine]:
     machine = Machine(tmp_path)
@@ -248,12 +262,9 @@ def test_sigterm_in_mid_move_ramps_disables_and_exits_with_0(machine: Machine) -
         machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 90.0)
         exit_code, _, log = service.end(signal.SIGTERM)
         assert exit_code == 0
-        database = dbc()
-        commands: list[Any] = []
-        while (message := listener.recv(0)) is not None:
-            if message.arbitration_id == database.get_message_by_name("DriveCommand").frame_id:
-                commands.append(database.decode_message("DriveCommand", bytes(message.data), decode_choices=False))
-    assert [(command["Effort"], command["Enable"]) for command in commands[-3:]] == [(0.0, 0)] * 3
+        commands = commands_until_disabled(listener)
+    assert 1 in {enable for _, enable in commands}
+    assert commands[-3:] == [(0.0, 0)] * 3
     assert 'disarming", "now": "disarmed"' in log
     exit_code, out, _ = drive.end(signal.SIGTERM)
     assert json.loads(out)["counters"]["command_timeouts"] == 0
