@@ -5,14 +5,17 @@ from dataclasses import replace
 
 import pytest
 
+from twostage_servo.control.optimal import ServoGains
 from twostage_servo.paper.claims import Claim, check_claims
 from twostage_servo.paper.examples import EXAMPLES
+from twostage_servo.paper.experiment import simulate
 from twostage_servo.paper.frames import FramesComparison
-from twostage_servo.paper.scores import Scores
+from twostage_servo.paper.methods import METHODS
+from twostage_servo.paper.scores import Scores, score
 from twostage_servo.paper.studies import Comparison, Curve, Studies, run_all
 
 FRAMES = {
-    example.name: FramesComparison(0.001, 0.001, 0.001, 0.001, 0.0, frames={}, delayed={}) for example in EXAMPLES
+    example.name: FramesComparison(0.001, 0.001, 0.001, 0.001, 0.0, 600, frames={}, delayed={}) for example in EXAMPLES
 }
 
 
@@ -50,8 +53,10 @@ def test_all_hold(studies: Studies) -> None:
         (1, "proposed", lambda s: replace(s, settling_time_s=None), "sooner"),
         (1, "proposed", lambda s: replace(s, velocity_error_rms=1.0), "cruises"),
         (1, "proposed_as_printed", lambda s: replace(s, velocity_error_rms=1.0), "cruises"),
-        (1, "proposed", lambda s: replace(s, changeover_effort_step=0.1), "no step"),
-        (1, "proposed_as_printed", lambda s: replace(s, changeover_effort_step=0.0), "no step"),
+        (1, "proposed", lambda s: replace(s, changeover_effort_step=0.1), "without a step"),
+        (1, "proposed", lambda s: replace(s, following_effort_step=0.1), "without a step"),
+        (1, "proposed_as_printed", lambda s: replace(s, changeover_effort_step=0.0), "without a step"),
+        (1, "proposed", lambda s: replace(s, velocity_error_rms=None), "cruises"),
     ],
 )
 def test_a_worse_run_breaks_its_claim_and_no_other(
@@ -85,8 +90,26 @@ def test_an_overshoot_that_grows_with_the_set_point_is_noticed(studies: Studies)
     assert all("set-point" in claim for claim in claims)
 
 
+@pytest.mark.parametrize("factor", [0.2, 3.0])
+def test_a_change_over_at_the_wrong_distance_is_noticed(
+    studies: Studies, monkeypatch: pytest.MonkeyPatch, factor: float
+) -> None:
+    right = ServoGains.changeover_time_s
+    monkeypatch.setattr(ServoGains, "changeover_time_s", lambda gains, period_s: factor * right(gains, period_s))
+    wrong = score(simulate(METHODS["proposed"].build, EXAMPLES[1]))
+    comparisons = (studies.comparisons[0], changed(studies.comparisons[1], "proposed", lambda _: wrong))
+    monkeypatch.undo()
+    claims = broken(check_claims(replace(studies, comparisons=comparisons), FRAMES))
+    assert any("without a step" in claim for claim in claims)
+
+
+def test_a_comparison_over_frames_that_broke_off_is_noticed(studies: Studies) -> None:
+    frames = {name: replace(pair, ticks=100) for name, pair in FRAMES.items()}
+    assert len(broken(check_claims(studies, frames))) == 2
+
+
 def test_a_difference_that_rounding_does_not_explain_is_noticed(studies: Studies) -> None:
-    frames = {name: replace(pair, effort_difference_explained=1e-6) for name, pair in FRAMES.items()}
+    frames = {name: replace(pair, effort_difference_unexplained=1e-6) for name, pair in FRAMES.items()}
     claims = broken(check_claims(studies, frames))
     assert len(claims) == 2
     assert all("frames" in claim for claim in claims)

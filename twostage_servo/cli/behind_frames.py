@@ -1,11 +1,10 @@
 """The paper's examples through the whole service, over CAN frames in simulated time, beside the law alone."""
 
 import asyncio
-from pathlib import Path
 from typing import Any
 
 from twostage_servo.axis.state import MOVING, State
-from twostage_servo.cli.configuration import find_configuration
+from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.cli.demonstration import Demonstration
 from twostage_servo.cli.output import Progress
 from twostage_servo.config import load
@@ -35,14 +34,15 @@ def compare_with_frames(example: Example) -> FramesComparison:
         position_quantum=position_quantum,
         effort_quantum=effort_quantum,
     )
-    position_difference, effort_difference = _differences(quiet, alone)
-    _, explained = _differences(quiet, rounded)
+    position_difference, effort_difference, ticks = _differences(quiet, alone)
+    _, unexplained, _ = _differences(quiet, rounded)
     return FramesComparison(
         position_quantum=position_quantum,
         effort_quantum=effort_quantum,
         position_difference=position_difference,
         effort_difference=effort_difference,
-        effort_difference_explained=explained,
+        effort_difference_unexplained=unexplained,
+        ticks=ticks,
         frames=_figures(_demonstrate(example)),
         delayed=_figures(_demonstrate(example, f"simulation.delay_ms={EXTRA_DELAY_MS}")),
     )
@@ -50,7 +50,7 @@ def compare_with_frames(example: Example) -> FramesComparison:
 
 def _demonstrate(example: Example, *overrides: str) -> Demonstration:
     demonstration = Demonstration(
-        load(find_configuration(Path(f"{example.name}.toml")), list(overrides)),
+        load(shipped_configuration(f"{example.name}.toml"), list(overrides)),
         SET_POINT,
         VELOCITY,
         Progress(quiet=True),
@@ -62,14 +62,15 @@ def _demonstrate(example: Example, *overrides: str) -> Demonstration:
     return demonstration
 
 
-def _differences(demonstration: Demonstration, run: Run) -> tuple[float, float]:
-    """Return the largest differences of position (mm) and effort (V), from the first tick of the move on.
+def _differences(demonstration: Demonstration, run: Run) -> tuple[float, float, int]:
+    """Return the largest differences of position (mm) and effort (V) over the move, and the number of its ticks.
 
     The drive samples when a command arrives, and the loop reads that sample at the next tick.
     """
     samples = demonstration.samples
     start = next(index for index, sample in enumerate(samples) if sample.state in MOVING)
     position = effort = 0.0
+    ticks = 0
     for now, after, alone_position, alone_effort in zip(
         samples[start:], samples[start + 1 :], run.position, run.effort, strict=False
     ):
@@ -78,9 +79,10 @@ def _differences(demonstration: Demonstration, run: Run) -> tuple[float, float]:
         assert after.measured_position is not None  # noqa: S101 - every tick of a move has its sample, in simulated time
         position = max(position, abs(after.measured_position - alone_position))
         effort = max(effort, abs(now.effort - alone_effort))
-    return position, effort
+        ticks += 1
+    return position, effort, ticks
 
 
 def _figures(demonstration: Demonstration) -> dict[str, Any]:
     result = demonstration.result()
-    return {name: result[name] for name in ("overshoot", "settling_time_s", "final_error")}
+    return {name: result[name] for name in ("overshoot", "settling_time_s", "peak_velocity", "final_error")}

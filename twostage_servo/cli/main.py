@@ -5,6 +5,7 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TextIO
 
@@ -35,7 +36,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return its exit code."""
-    _replace_closed_streams()
+    _prepare_streams()
     parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete
@@ -59,11 +60,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 130
 
 
-def _replace_closed_streams() -> None:
-    """Give a program that was started without stdout or stderr something to write to."""
+def _prepare_streams() -> None:
+    """Let nothing that is printed fail: for want of stdout or stderr, or of a character in their encoding."""
     for name in ("stdout", "stderr"):
         if getattr(sys, name) is None:
             setattr(sys, name, _nowhere())
+        elif isinstance(stream := getattr(sys, name), TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without µ shows a question mark
 
 
 def _discard_output() -> None:

@@ -3,13 +3,18 @@
 import argparse
 import csv
 import json
+from contextlib import contextmanager
+from io import StringIO
+from itertools import zip_longest
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, print_json, print_line
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from twostage_servo.paper.claims import Claim
     from twostage_servo.paper.frames import FramesComparison
@@ -33,26 +38,65 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 
 def _paper(options: argparse.Namespace) -> ExitCode:
+    import logging
+
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its remarks on its cache are nobody's concern here
     from twostage_servo.paper.claims import check_claims
     from twostage_servo.paper.studies import run_all
 
-    _make_folder(options.out)  # a folder that cannot be written is told before the work
     progress = Progress(quiet=options.json)
     try:
-        studies = run_all(progress.show)
-        progress.show("the law behind CAN frames, in simulated time")
-        frames = _run_frames()
-        claims = check_claims(studies, frames)
-        result = _result(studies, claims, frames)
-        progress.show("figures and report")
-        files = _write_report(options.out, studies, claims, frames, result)
+        with _staged(options.out) as staging:  # a folder that cannot be written is told before the work
+            studies = run_all(progress.show)
+            progress.show("the law behind CAN frames, in simulated time")
+            frames = _run_frames()
+            claims = check_claims(studies, frames)
+            result = _result(studies, claims, frames)
+            progress.show("figures and report")
+            files = _contents(studies, claims, frames, result)
+            for name, content in files.items():
+                _write(staging / name, content, options.out)
     finally:
         progress.end()
     if options.json:
-        print_json({**result, "report": str(options.out / "report.html"), "files": files})
+        print_json({**result, "report": str(options.out / "report.html"), "files": sorted(files)})
     else:
         print_line(_as_text(studies, claims, options.out / "report.html", len(files)))
     return ExitCode.DONE if all(claim.holds for claim in claims) else ExitCode.FAILED
+
+
+@contextmanager
+def _staged(folder: Path) -> "Iterator[Path]":
+    """Give a folder to write into; its files take their places in `folder` together, at the end, or not at all."""
+    created = not folder.exists()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        staging = TemporaryDirectory(dir=folder, prefix=".unfinished-")
+    except OSError as error:
+        raise _unwritable(folder, error) from error
+    try:
+        with staging as name:
+            yield Path(name)
+            for path in sorted(Path(name).iterdir(), key=lambda path: path.name == "report.html"):
+                try:
+                    path.replace(folder / path.name)
+                except OSError as error:
+                    raise _unwritable(folder / path.name, error) from error
+    finally:
+        if created and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def _write(path: Path, content: bytes, folder: Path) -> None:
+    try:
+        path.write_bytes(content)
+    except OSError as error:
+        raise _unwritable(folder / path.name, error) from error
+
+
+def _unwritable(path: Path, error: OSError) -> CommandError:
+    text = f"the report cannot be written: {path}: {error.strerror}; make room there or name another folder with --out"
+    return CommandError(ExitCode.FAILED, "report", text)
 
 
 def _run_frames() -> "dict[str, FramesComparison]":
@@ -122,82 +166,70 @@ def _by_example(curves: "Sequence[Sequence[Curve]]") -> dict[str, Any]:
     }
 
 
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "report.html").open("a").close()
-    except OSError as error:
-        text = f"the report cannot be written into {folder}: {error.strerror}; name another folder with --out"
-        raise CommandError(ExitCode.FAILED, "report", text) from error
-
-
-def _write_report(
-    folder: Path,
-    studies: "Studies",
-    claims: "Sequence[Claim]",
-    frames: "Mapping[str, FramesComparison]",
-    result: dict[str, Any],
-) -> list[str]:
-    """Write everything; return the names of the files."""
+def _contents(
+    studies: "Studies", claims: "Sequence[Claim]", frames: "Mapping[str, FramesComparison]", result: dict[str, Any]
+) -> dict[str, bytes]:
+    """Return every file by its name."""
     from twostage_servo.paper.report import render
 
-    pictures = _draw(studies)
     files: dict[str, bytes] = {}
+    pictures = _draw(studies)
     for picture in pictures:
         files[f"{picture.name}.svg"] = picture.svg
         files[f"{picture.name}.png"] = picture.png
+    for comparison in studies.comparisons:
+        files[f"{comparison.example.name}.csv"] = _samples(comparison).encode()
     files["results.json"] = (json.dumps(result, indent=2, allow_nan=False) + "\n").encode()
     files["report.html"] = render(studies, claims, frames, pictures).encode()
-    try:
-        for name, content in files.items():
-            (folder / name).write_bytes(content)
-        for comparison in studies.comparisons:
-            name = f"{comparison.example.name}.csv"
-            _write_samples(folder / name, comparison)
-            files[name] = b""
-    except OSError as error:
-        text = f"the report is not complete: {error.filename or folder}: {error.strerror}"
-        raise CommandError(ExitCode.FAILED, "report", text) from error
-    return sorted(files)
+    return files
 
 
 def _draw(studies: "Studies") -> "list[Picture]":
     from twostage_servo.paper import plots
 
-    return [
-        *plots.papers_figures(*studies.comparisons),
-        plots.printed_speed_stage(studies.comparisons[1]),
-        plots.disturbance(studies.under_load),
-        plots.set_point_dependence(studies.by_set_point),
-        plots.phase_dependence(studies.by_phase),
-    ]
+    with plots.our_style():
+        return [
+            *plots.papers_figures(*studies.comparisons),
+            plots.printed_speed_stage(studies.comparisons[1]),
+            plots.disturbance(studies.under_load),
+            plots.set_point_dependence(studies.by_set_point),
+            plots.phase_dependence(studies.by_phase),
+        ]
 
 
-def _write_samples(path: Path, comparison: "Comparison") -> None:
-    """Write every sample of every method's run, one row per tick; a run that ended early leaves its cells empty."""
-    from itertools import zip_longest
-
-    columns: dict[str, list[float]] = {}
+def _samples(comparison: "Comparison") -> str:
+    """Return every sample of every method's run as CSV, one row per tick; a run that ended early leaves cells empty."""
+    columns: dict[str, list[float]] = {"time_s": []}
     for name, run in comparison.runs.items():
-        if len(run.time_s) > len(columns.get("time_s", ())):
-            columns["time_s"] = run.time_s
+        columns["time_s"] = max(columns["time_s"], run.time_s, key=len)
         for quantity in ("position", "velocity", "law_velocity", "effort"):
             columns[f"{name}.{quantity}"] = getattr(run, quantity)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file).writerows([list(columns), *zip_longest(*columns.values())])
+    text = StringIO(newline="")
+    csv.writer(text).writerows([list(columns), *zip_longest(*columns.values())])
+    return text.getvalue()
 
 
 _HEADS = (
-    ("", "over-", "", "speed", "velocity", "velocity", "effort", "final"),
-    ("", "shoot", "settling", "overshoot", "noise", "error", "step", "error"),
+    ("", "over-", "sett-", "speed", "veloc.", "veloc.", "effort", "final"),
+    ("", "shoot", "ling", "over", "noise", "error", "step", "error"),
     ("", "mm", "s", "mm/s", "mm/s", "mm/s", "V", "mm"),
 )
-"""Heads of the table, three lines, in the order of the report's columns."""
+"""Heads of the table, three lines."""
+_SHOWN = (
+    "overshoot",
+    "settling_time_s",
+    "speed_overshoot",
+    "velocity_noise_rms",
+    "velocity_error_rms",
+    "changeover_effort_step",
+    "final_error",
+)
+"""Its columns: those that fit into 80 characters."""
 
 
 def _as_text(studies: "Studies", claims: "Sequence[Claim]", report: Path, files: int) -> str:
     from twostage_servo.paper.methods import METHODS
-    from twostage_servo.paper.report import COLUMNS, score_text
+    from twostage_servo.paper.report import score_text
 
     lines = []
     for comparison in studies.comparisons:
@@ -208,13 +240,14 @@ def _as_text(studies: "Studies", claims: "Sequence[Claim]", report: Path, files:
             *(_line(*heads) for heads in _HEADS),
         ]
         for name, scores in comparison.scores.items():
-            lines.append(_line(METHODS[name].title, *(score_text(scores, column) for column, _ in COLUMNS)))
+            lines.append(_line(METHODS[name].label, *(score_text(scores, column, digits=3) for column in _SHOWN)))
         lines.append("")
     for claim in claims:
-        lines += [f"{'holds' if claim.holds else 'DOES NOT HOLD'}: {claim.claim}", f"       {claim.measured}"]
+        lines += wrap(f"{'holds' if claim.holds else 'DOES NOT HOLD'}: {claim.claim}", 78, subsequent_indent="       ")
+        lines += wrap(claim.measured, 78, initial_indent="       ", subsequent_indent="       ")
     lines += ["", f"{files} files written; start with {report}"]
     return "\n".join(lines)
 
 
 def _line(title: str, *cells: str) -> str:
-    return f"  {title:28}" + "".join(f"{cell:>10}" for cell in cells)
+    return f"  {title:21}" + "".join(f"{cell:>8}" for cell in cells)

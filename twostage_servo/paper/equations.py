@@ -54,11 +54,11 @@ PASSAGES: Final = (
         "The speed stage needs a measured velocity; the position stage runs on a model of the plant, started when "
         "the distance p remains.",
         (
-            Equation("14", r"u(k) = -f_{12} x_2(k) + f_{22} \sum_{i=0}^{k-1} (v - x_2(i))", (2, 10)),
+            Equation("14", r"u(k) = -f_{12} x_2(k) + I(k), \quad I(k) = f_{22} \sum_{i=0}^{k-1} (v - x_2(i))", (2, 10)),
             Equation(
                 "15",
-                r"u(k+1) = -f_{11} x_{m1}(k+1) - f_{12} x_{m2}(k+1) + f_{22} \sum_{i=0}^{k} e(i)",
-                (2, 14),
+                r"u(k+1) = -f_{11} x_{m1}(k+1) - f_{12} x_{m2}(k+1) + I(k) + f_{22} e(k)",
+                (2, 10, 14),
             ),
             Equation("16, 17", r"x_m(k+1) = \begin{matrix} v T_s \\ v \end{matrix}", (4,)),
             Equation("18, 19", r"p = r(k) - y(k) = \frac{f_{11} v T_s}{f_{22}}"),

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from twostage_servo.control.yardsticks.conventional import ConventionalTwoStage
-from twostage_servo.control.yardsticks.transcription import Reading
+from twostage_servo.control.yardsticks.transcription import Reading, TranscribedLaw
 from twostage_servo.control.yardsticks.velocity import speed_sensor
+from twostage_servo.paper.examples import EXAMPLE_1
 from twostage_servo.paper.methods import Builder, transcribed
 
 
@@ -68,9 +69,10 @@ ERRATA: Final = (
         "(36)",
         "Q/R = 5.0e-5, no matrix Q",
         "Q = q·diag(1, 0, 1), R = 1",
-        "with weight on Δy and e every printed digit of (36) comes out; with weight on e alone f11 is 0.37746, which "
-        "prints as 3.77e-1",
-        "small: a change in the third digit of the gains",
+        "with equal weight on Δy and e every printed digit of (36) comes out. Any diag(w, 0, 1) with w from 0.6 to 4.2 "
+        "does that, and 1 is the plain choice; weight on e alone gives f11 = 3.77e-1, weight on all three states "
+        "f12 = 2.35e-2",
+        "small: f11 changes by 0.02 % in Example 1 and by 0.13 % in Example 2 (with weight on e alone)",
         transcribed(Reading(weights=(0.0, 0.0, 1.0))),
     ),
     Erratum(
@@ -88,9 +90,9 @@ ERRATA: Final = (
         "1 (disturbance_memory)",
         "0 is a disturbance that is forgotten every tick and never estimated; 1 is the random walk of every "
         "disturbance observer",
-        "what the model does not explain is taken for velocity. Example 2: the speed stage swings up to 230 mm/s and "
-        "then cruises at 184, where the estimate says 100. Example 1, where the model is perfect, has a quieter "
-        "estimate; but a load of 1 V makes it cruise 12.7 mm/s off its speed",
+        "what the model does not explain makes the estimated velocity wrong. Example 2: the speed stage swings up to "
+        "230 mm/s and then cruises at 184, where the estimate says 100. Example 1, where the model is perfect, has a "
+        "quieter estimate; but a load of 1 V makes it cruise 12.7 mm/s off its speed",
         transcribed(Reading(disturbance_memory=0.0)),
     ),
     Erratum(
@@ -99,7 +101,8 @@ ERRATA: Final = (
         "K of (27) in (26)",
         "A_o K in (26)",
         "(26) is the predictor form, (27) the gain of the filter form; the predictor's is A_o K",
-        "small here: the noise is filtered with a gain that is optimal for nothing",
+        "small here: A_o K and K differ by a tick of motion, a tenth in the gain on position. The smaller printed gain "
+        "is a little quieter, and no gain is optimal for noise that (37) does not describe (erratum 16)",
         transcribed(Reading(observer_form="mixed")),
     ),
     Erratum(
@@ -108,7 +111,7 @@ ERRATA: Final = (
         "no - X",
         "A_o X A_o' - A_o X C_o' (C_o X C_o' + R_o)⁻¹ C_o X A_o' + G W G' - X = 0",
         "the covariance of a steady state reproduces itself",
-        "no solution exists: the left side without - X is positive definite for every X",
+        "no covariance solves it: for X >= 0 the left side is at least G W G', and never 0",
         transcribed(Reading(covariance="as printed")),
     ),
     Erratum(
@@ -116,9 +119,10 @@ ERRATA: Final = (
         "(22), (37)",
         "G W G' = 0.1, G_o = B_o",
         "G W G' = 0.1·I(3), the column G_o = B",
-        "a number is no 3 by 3 matrix, and B_o of (25) has 3 rows where G_o needs 2. Read as a variance of the "
-        "disturbance alone, the observer trusts its model so much that Example 2 becomes unstable",
-        "read as diag(0, 0, 0.1): the speed stage of Example 2 swings by hundreds of mm/s",
+        "a number is no 3 by 3 matrix, and B_o of (25) has 3 rows where G_o needs 2. With noise on "
+        "all three states the claims of both examples come out; with noise on the disturbance alone they do not",
+        "read as diag(0, 0, 0.1): the speed stage of Example 2 is unstable, thousands of mm/s, and ends only because "
+        "the change-over comes",
         transcribed(Reading(process_variance=(0.0, 0.0, 0.1))),
     ),
     Erratum(
@@ -137,7 +141,7 @@ ERRATA: Final = (
         "Σe in both stages",
         "Σ(v - x_o2) in the speed stage, Σ(r - y) in the position stage, one sum through both",
         "C_m' = [0 1 0] in Fig. 1 picks the velocity; with e = r - y of (3) there is no speed control",
-        "the velocity follows the remaining distance, not v: a thousand mm/s instead of a hundred",
+        "the velocity follows the remaining distance, not v: thousands of mm/s instead of a hundred",
         transcribed(Reading(speed_stage_sum="position error")),
     ),
     Erratum(
@@ -146,7 +150,7 @@ ERRATA: Final = (
         "F_2 M",
         "F_1 M",
         "M shifts a position, and F_1 is what multiplies positions",
-        "the effort jumps by f11 (r - p) or so at the change-over: over a hundred volts",
+        "the effort jumps by nearly f11 (r - p) at the change-over: over a hundred volts",
         transcribed(Reading(offset_gain="F2")),
     ),
     Erratum(
@@ -154,8 +158,8 @@ ERRATA: Final = (
         "(31)-(34)",
         "M = -[r - p, 0]",
         "M = -[x_o1, 0, 0], taken at the tick of the change-over",
-        "the change-over falls up to one tick beyond p; the printed M takes it to be exactly there, and has two entries "
-        "where x_o has three",
+        "the change-over falls up to one tick beyond p; the printed M takes it to be exactly there, and has two "
+        "entries where x_o has three",
         "a step of the effort of up to f11 v T_s, and an overshoot that depends on where within a tick the change-over "
         "falls",
         transcribed(Reading(offset="set-point")),
@@ -187,6 +191,26 @@ ERRATA: Final = (
         "two noises, and the disturbance as the third state",
         "a state cannot be its own driving noise; (28) has a noise on each of the three states",
         "none: a name for three things",
+    ),
+    Erratum(
+        16,
+        "(27), (28), (37), Example 1",
+        "R_o and W are power spectral densities; R_o = 0.01 with noise of power 1.0e-5",
+        "covariances of the sampled noises; R_o = 0.01 mm², as printed",
+        "a sampled Riccati equation needs covariances. The noise of Example 1 then has a tenth of the variance that "
+        "the filter is designed for (erratum 9)",
+        "small: with R_o = 1e-3, the noise's own variance, the estimated velocity of Example 1 is 8 % noisier",
+        lambda example, _: TranscribedLaw(example.model, example.ratio, EXAMPLE_1.noise_variance),
+    ),
+    Erratum(
+        17,
+        "(18)",
+        "the change-over is where r - y(k) = p",
+        "the first tick at which r - x_o1(k) <= p",
+        "y is sampled and noisy: equality is never met, and the first sample within p comes early by the noise. The "
+        "estimate is of this tick and quieter",
+        "small: the change-over moves by a tick or so",
+        transcribed(Reading(changeover_on="sample")),
     ),
 )
 

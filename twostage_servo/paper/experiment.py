@@ -44,7 +44,8 @@ class Run:
     effort
         In V.
     changeover
-        The first k whose effort the position stage made, after the speed stage; None if there was none.
+        The k of the change-over: the first with no more than p to go; None if there was none. The position stage makes
+        the effort from the next tick on, and in the proposed law from this one on, where both stages give the same.
     diverged
         Whether the run was given up because the plant had run away.
     """

@@ -18,17 +18,20 @@ class FramesComparison:
     position_difference, effort_difference
         Largest difference between the run over frames and the law alone, without noise: of the positions at the drive's
         sampling instants, in mm, and of the efforts, in V.
-    effort_difference_explained
+    effort_difference_unexplained
         The same difference of efforts when the law alone is given the same rounding: what is left to explain, in V.
+    ticks
+        Number of ticks compared.
     frames, delayed
-        overshoot (mm), settling_time_s and final_error (mm) of the run over frames with the example's noise, and with
-        :data:`EXTRA_DELAY_MS` of transport delay on top.
+        overshoot (mm), settling_time_s, peak_velocity (mm/s) and final_error (mm) of the run over frames with the
+        example's noise, and with :data:`EXTRA_DELAY_MS` of transport delay on top.
     """
 
     position_quantum: float
     effort_quantum: float
     position_difference: float
     effort_difference: float
-    effort_difference_explained: float
+    effort_difference_unexplained: float
+    ticks: int
     frames: dict[str, Any]
     delayed: dict[str, Any]

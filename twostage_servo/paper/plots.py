@@ -1,6 +1,7 @@
 """The figures: those of the paper in its own form, and those that the paper does not have."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Final
@@ -11,11 +12,9 @@ from matplotlib.figure import Figure
 
 from twostage_servo.paper.examples import EXAMPLES, SET_POINT, VELOCITY
 from twostage_servo.paper.experiment import Run
-from twostage_servo.paper.methods import METHODS
+from twostage_servo.paper.methods import CONVENTIONAL, METHODS
 from twostage_servo.paper.studies import LOAD, Comparison, Curve
 
-CONVENTIONAL: Final = "conventional_differentiated"
-"""The paper's plant has one output, so its conventional method differentiates."""
 _SHOWN_S: Final = 8.0
 _INK: Final = "#1f3d5c"
 _COLOURS: Final = {
@@ -39,23 +38,29 @@ class Picture:
     png: bytes
 
 
+@contextmanager
+def our_style() -> Iterator[None]:
+    """Draw alike everywhere, whatever matplotlibrc the user has."""
+    with mpl.rc_context():
+        mpl.rcdefaults()
+        yield
+
+
 def papers_figures(example1: Comparison, example2: Comparison) -> list[Picture]:
     """Draw Fig. 2 (a), (b) and Fig. 3 (a), (b), (c)."""
     noisy, wrong = example1.runs, example2.runs
+    measured = "velocity of the conventional method: differentiated, and from the change-over on the model's"
+    estimated = "estimated velocity of the proposed method"
     return [
-        _velocity(
-            "fig2a", "Fig. 2 (a): Example 1, velocity of the conventional method (differentiated)", noisy[CONVENTIONAL]
-        ),
-        _velocity("fig2b", "Fig. 2 (b): Example 1, estimated velocity of the proposed method", noisy["proposed"]),
+        _velocity("fig2a", f"Fig. 2 (a): Example 1, {measured}", noisy[CONVENTIONAL], (-20.0, 130.0)),
+        _velocity("fig2b", f"Fig. 2 (b): Example 1, {estimated}", noisy["proposed"], (-20.0, 130.0)),
         _outputs(
             "fig3a",
             "Fig. 3 (a): Example 2, controlled output: (1) conventional, (2) proposed; right: the last 10 mm",
             {"(1) conventional": wrong[CONVENTIONAL], "(2) proposed": wrong["proposed"]},
         ),
-        _velocity(
-            "fig3b", "Fig. 3 (b): Example 2, velocity of the conventional method (differentiated)", wrong[CONVENTIONAL]
-        ),
-        _velocity("fig3c", "Fig. 3 (c): Example 2, estimated velocity of the proposed method", wrong["proposed"]),
+        _velocity("fig3b", f"Fig. 3 (b): Example 2, {measured}", wrong[CONVENTIONAL], (-60.0, 240.0)),
+        _velocity("fig3c", f"Fig. 3 (c): Example 2, {estimated}", wrong["proposed"], (-60.0, 240.0)),
     ]
 
 
@@ -103,13 +108,14 @@ def set_point_dependence(curves: Sequence[Sequence[Curve]]) -> Picture:
     """Draw overshoot against set-point: single-stage laws grow with it, two-stage laws do not."""
     figure = Figure(figsize=(9.0, 3.8), layout="constrained")
     for axes, example, group in zip(figure.subplots(1, 2), EXAMPLES, curves, strict=True):
-        for curve in group:
+        for curve in sorted(group, key=lambda curve: curve.name == "proposed"):  # ours on top of what lies under it
             axes.plot(
                 curve.set_points,
                 [max(overshoot, 1e-3) for overshoot in curve.overshoots],
                 marker="o",
                 markersize=3,
                 linestyle="--" if curve.name.startswith("conventional") else "-",
+                linewidth=3.0 if curve.name in {"optimal", "proposed_as_printed"} else 1.5,
                 color=_COLOURS[curve.name],
                 label=METHODS[curve.name].title,
             )
@@ -153,14 +159,16 @@ def phase_dependence(curves: Sequence[tuple[Curve, Curve]]) -> Picture:
     )
 
 
-def _velocity(name: str, caption: str, run: Run) -> Picture:
+def _velocity(name: str, caption: str, run: Run, limits: tuple[float, float]) -> Picture:
     figure, axes = _figure()
-    axes.plot(run.time_s, run.law_velocity, color=_INK, linewidth=0.9)
+    axes.plot(run.time_s, run.velocity, color="#d98c5f", linewidth=0.9, label="true velocity")
+    axes.plot(run.time_s, run.law_velocity, color=_INK, linewidth=0.9, label="velocity that the law uses")
     axes.set_xlim(0.0, _SHOWN_S)
-    axes.set_ylim(min(-20.0, *run.law_velocity) - 5.0, max(VELOCITY, *run.law_velocity) + 20.0)
+    axes.set_ylim(*limits)
     if run.changeover is not None:
         axes.axvline(run.time_s[run.changeover], color="black", linewidth=0.6, linestyle=":")
-        axes.text(run.time_s[run.changeover], axes.get_ylim()[1], " change-over", va="top", fontsize=8)
+        axes.text(run.time_s[run.changeover], limits[0], " change-over", va="bottom", fontsize=8)
+    axes.legend(loc="upper right", fontsize=8)
     _label(axes, "time (s)", "velocity (mm/s)")
     return _picture(figure, name, caption)
 

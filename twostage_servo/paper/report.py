@@ -1,5 +1,6 @@
 """One HTML file that holds everything: claims, tables, figures, equations and corrections."""
 
+import math
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -13,10 +14,10 @@ from twostage_servo import __version__
 from twostage_servo.paper.claims import Claim
 from twostage_servo.paper.equations import PASSAGES, Equation
 from twostage_servo.paper.errata import ERRATA
-from twostage_servo.paper.examples import EXAMPLES
+from twostage_servo.paper.examples import EXAMPLES, PERIOD_S, SET_POINT, VELOCITY
 from twostage_servo.paper.experiment import DIVERGED, DURATION_S, SEED
 from twostage_servo.paper.frames import EXTRA_DELAY_MS, FramesComparison
-from twostage_servo.paper.methods import METHODS
+from twostage_servo.paper.methods import CONVENTIONAL, METHODS
 from twostage_servo.paper.plots import Picture
 from twostage_servo.paper.scores import Scores
 from twostage_servo.paper.studies import LOAD, Comparison, SlipEffect, Studies, steady_error
@@ -28,24 +29,30 @@ COLUMNS: Final = (
     ("velocity_noise_rms", "velocity noise (mm/s)"),
     ("velocity_error_rms", "velocity error (mm/s)"),
     ("changeover_effort_step", "effort step (V)"),
+    ("following_effort_step", "next step (V)"),
+    ("ordinary_effort_step", "ordinary step (V)"),
     ("final_error", "final error (mm)"),
 )
 """Figures of the tables: name in the JSON, and heading."""
 
 
-def figure_text(value: float | None) -> str:
-    """Return a figure to four significant digits, without an exponent where that stays short."""
+def figure_text(value: float | None, digits: int = 4) -> str:
+    """Return a figure to some significant digits, without an exponent where that stays short; None as a dash."""
     if value is None:
-        return "never"
+        return "-"
     if abs(value) < 5e-7:
         return "0"
-    return f"{value:.4g}" if 1e-3 <= abs(value) < 1e4 else f"{value:.1e}"
+    if abs(value) >= 10 ** (digits - 1):
+        return f"{value:.0f}"
+    return f"{value:.{digits}g}" if abs(value) >= 1e-3 else f"{value:.1e}"
 
 
-def score_text(scores: Scores, column: str) -> str:
-    """Return one figure of :data:`COLUMNS` as the tables show it."""
+def score_text(scores: Scores, column: str, digits: int = 4) -> str:
+    """Return one figure of a run as the tables show it."""
     value: float | None = getattr(scores, column)
-    return f"{value:.2f}" if column == "settling_time_s" and value is not None else figure_text(value)
+    if column == "settling_time_s":
+        return "never" if value is None else f"{value:.2f}"
+    return figure_text(value, digits)
 
 
 def render(
@@ -65,13 +72,31 @@ def render(
         Every figure; its name is its place in the template.
     """
     quanta = frames[EXAMPLES[0].name]
+    _first, second = (comparison.scores for comparison in studies.comparisons)
+    late1, late2 = (example.gains.f22 * VELOCITY * PERIOD_S / 8.0 for example in EXAMPLES)
+    difference = studies.difference_without_sensor[1]
     places = {
         "version": escape(__version__),
         "duration": f"{DURATION_S:g}",
         "seed": str(SEED),
+        "period": f"{1e3 * PERIOD_S:g}",
+        "set_point": f"{SET_POINT:g}",
+        "velocity": f"{VELOCITY:g}",
+        "noise_variance": f"{EXAMPLES[0].noise_variance:g}",
+        "noise_gain": f"{math.sqrt(2.0) / PERIOD_S:.0f}",
+        "proposed_speed": f"{second['proposed'].speed_overshoot:.0f}",
+        "conventional_speed": f"{second[CONVENTIONAL].speed_overshoot:.0f}",
+        "sensor_speed": f"{second['conventional_two_output'].speed_overshoot:.0f}",
+        "nominal_speed": f"{studies.nominal_speed_overshoot:.0f}",
+        "difference_overshoot": figure_text(difference.overshoot, 1),
+        "difference_settling": score_text(difference, "settling_time_s"),
+        "swing": f"{studies.speed_stage_swing_hz:.0f}",
+        "short_overshoot": f"{_overshoot_at(studies, 50.0):.2f}",
+        "late1": f"{late1:.1g}",
+        "late2": f"{late2:.1g}",
         "load": f"{LOAD:g}",
-        "printed_cruise": f"{studies.comparisons[1].scores['proposed_as_printed'].cruise_velocity:.1f}",
-        "printed_load_error": f"{studies.under_load[0].scores['proposed_as_printed'].velocity_error_rms:.1f}",
+        "printed_cruise": figure_text(second["proposed_as_printed"].cruise_velocity),
+        "printed_load_error": figure_text(studies.under_load[0].scores["proposed_as_printed"].velocity_error_rms, 3),
         "position_quantum": f"{quanta.position_quantum:g}",
         "effort_quantum": f"{quanta.effort_quantum:g}",
         "claims": _claims(claims),
@@ -91,6 +116,12 @@ def render(
     return Template(template).substitute(places)
 
 
+def _overshoot_at(studies: Studies, set_point: float) -> float:
+    """Return the proposed law's overshoot in Example 2 at one of the set-points of the study, in mm."""
+    curve = next(curve for curve in studies.by_set_point[1] if curve.name == "proposed")
+    return curve.overshoots[curve.set_points.index(set_point)]
+
+
 def _claims(claims: Iterable[Claim]) -> str:
     rows = (
         _row(
@@ -100,7 +131,7 @@ def _claims(claims: Iterable[Claim]) -> str:
         )
         for claim in claims
     )
-    return _table(("claim", "measured", ""), rows)
+    return _table(("claim", "measured", ""), rows, texts=3)
 
 
 def _gains() -> str:
@@ -125,7 +156,7 @@ def _methods() -> str:
         )
         for name, method in METHODS.items()
     )
-    return _table(("name", "method", "velocity", "stages"), rows)
+    return _table(("name", "method", "velocity", "stages"), rows, texts=4)
 
 
 def _scores(comparison: Comparison) -> str:
@@ -147,7 +178,7 @@ def _loads(studies: Studies) -> str:
     rows = [
         _row(
             _cell(method.title),
-            *(_number(f"{comparison.scores[name].final_error:+.4f}") for comparison in studies.under_load),
+            *(_number(score_text(comparison.scores[name], "final_error")) for comparison in studies.under_load),
             ours=name == "proposed",
         )
         for name, method in METHODS.items()
@@ -163,7 +194,7 @@ def _frame_differences(frames: Mapping[str, FramesComparison]) -> str:
             _cell(example.short_title),
             _number(f"{1e3 * frames[example.name].position_difference:.2f}"),
             _number(f"{1e3 * frames[example.name].effort_difference:.2f}"),
-            _number(figure_text(1e3 * frames[example.name].effort_difference_explained)),
+            _number(figure_text(1e3 * frames[example.name].effort_difference_unexplained)),
         )
         for example in EXAMPLES
     )
@@ -180,15 +211,22 @@ def _frame_scores(studies: Studies, frames: Mapping[str, FramesComparison]) -> s
     rows = []
     for comparison in studies.comparisons:
         pair = frames[comparison.example.name]
+        alone = comparison.scores["proposed"].as_json()
+        alone["speed"] = alone["speed_overshoot"]
         runs: dict[str, dict[str, Any]] = {
-            "the law alone": comparison.scores["proposed"].as_json(),
-            "over frames": pair.frames,
-            f"over frames, {EXTRA_DELAY_MS:g} ms later": pair.delayed,
+            "the law alone": alone,
+            "over frames": {**pair.frames, "speed": pair.frames["peak_velocity"] - VELOCITY},
+            f"over frames, {EXTRA_DELAY_MS:g} ms later": {
+                **pair.delayed,
+                "speed": pair.delayed["peak_velocity"] - VELOCITY,
+            },
         }
         for title, figures in runs.items():
-            numbers = (figure_text(figures[key]) for key in ("overshoot", "settling_time_s", "final_error"))
+            numbers = (figure_text(figures[key]) for key in ("overshoot", "settling_time_s", "speed", "final_error"))
             rows.append(_row(_cell(comparison.example.short_title), _cell(title), *map(_number, numbers)))
-    return _table(("", "", "overshoot (mm)", "settling (s)", "final error (mm)"), rows)
+    return _table(
+        ("", "", "overshoot (mm)", "settling (s)", "speed overshoot (mm/s)", "final error (mm)"), rows, texts=2
+    )
 
 
 def _errata() -> str:
@@ -201,7 +239,7 @@ def _errata() -> str:
         )
         for erratum in ERRATA
     )
-    return _table(("no.", "where", "printed", "read as", "why", "effect of the print"), rows)
+    return _table(("no.", "where", "printed", "read as", "why", "effect of the print"), rows, texts=6)
 
 
 def _slips(slips: Iterable[SlipEffect]) -> str:
@@ -217,7 +255,7 @@ def _slips(slips: Iterable[SlipEffect]) -> str:
         else:
             figures = _figures(slip.printed)
         printed.append(_row(_cell(f"slip {slip.erratum.number}"), name, *figures))
-    return _table(("", "", *(heading for _, heading in COLUMNS)), [*corrected.values(), *printed])
+    return _table(("", "", *(heading for _, heading in COLUMNS)), [*corrected.values(), *printed], texts=2)
 
 
 def _equations() -> str:
@@ -240,14 +278,22 @@ def _equation(equation: Equation) -> str:
 def _picture(picture: Picture) -> str:
     caption = escape(picture.caption)
     data = b64encode(picture.svg).decode("ascii")
-    image = f'<img src="data:image/svg+xml;base64,{data}" alt="{caption}">'
+    image = f'<img src="data:image/svg+xml;base64,{data}" alt="">'  # the caption says what it shows
     return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
 
 
-def _table(heads: Iterable[str], rows: Iterable[str]) -> str:
-    head = "".join(f"<th>{escape(text)}</th>" for text in heads)
+def _table(heads: Sequence[str], rows: Iterable[str], *, texts: int = 1) -> str:
+    """Return a table whose first `texts` columns hold text and whose others hold numbers."""
+    head = "".join(_head(text, number=index >= texts) for index, text in enumerate(heads))
     body = "\n".join(rows)
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>\n{body}\n</tbody></table></div>'
+
+
+def _head(text: str, *, number: bool) -> str:
+    if not text:
+        return "<td></td>"
+    kind = ' class="number"' if number else ""
+    return f'<th scope="col"{kind}>{escape(text)}</th>'
 
 
 def _row(*cells: str, ours: bool = False) -> str:

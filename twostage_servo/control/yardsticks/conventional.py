@@ -39,7 +39,7 @@ class ConventionalTwoStage:
     Attributes
     ----------
     stage
-        The stage that made the last effort.
+        The stage that makes the next effort.
     """
 
     sample_age = 0
@@ -62,7 +62,7 @@ class ConventionalTwoStage:
         self._anchor = self._sum = self._target = self._velocity_reference = 0.0
         self._model_position = self._model_velocity = 0.0
         self._direction = 1.0
-        self._moving = self._model_started = False
+        self._moving = False
         self.velocity = 0.0
         self.changeovers = 0
         self.stage = Stage.SPEED
@@ -71,14 +71,14 @@ class ConventionalTwoStage:
         """Take the set-point (axis unit) and the magnitude of the cruise velocity (axis unit/s) of a move from rest."""
         self._target = target
         self._velocity_reference = velocity
-        self._moving = self._model_started = False
+        self._moving = False
         self.stage = Stage.SPEED
 
     def step(self, sample: float) -> float:
         """Take ``y(k)`` in axis unit; return the effort ``u(k)`` in effort unit."""
         measured = self._measure(sample)
         error = self._target - sample
-        if self._model_started:
+        if self.stage is Stage.POSITION:
             return self._position_stage(sample, error)
         if not self._moving:
             self._direction = math.copysign(1.0, error)
@@ -95,9 +95,6 @@ class ConventionalTwoStage:
 
     def _position_stage(self, sample: float, error: float) -> float:
         position, velocity, model = self._model_position, self._model_velocity, self._model
-        if self.stage is Stage.SPEED:
-            self.stage = Stage.POSITION
-            self.changeovers += 1
         self.velocity = velocity
         difference = sample - self._anchor - position
         effort = self._sum - self._f11 * position - self._f12 * velocity - self._difference_gain * difference
@@ -112,4 +109,5 @@ class ConventionalTwoStage:
         self._anchor = sample
         self._model_position = velocity * self._model.period_s
         self._model_velocity = velocity
-        self._model_started = True
+        self.stage = Stage.POSITION
+        self.changeovers += self._moving

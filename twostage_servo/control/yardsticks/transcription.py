@@ -48,6 +48,8 @@ class Reading:
         What M is multiplied with in (33): F_1, or as printed F_2 (erratum 11).
     offset
         M: minus the estimate at the tick of the change-over, or as printed in (32) ``-(r - p)`` (erratum 12).
+    changeover_on
+        What (18) takes the distance from: the estimate of this tick, or as printed the last sample (erratum 17).
     """
 
     cost: Literal["state", "increment"] = "state"
@@ -60,6 +62,7 @@ class Reading:
     speed_stage_sum: Literal["velocity error", "position error"] = "velocity error"
     offset_gain: Literal["F1", "F2"] = "F1"
     offset: Literal["estimate", "set-point"] = "estimate"
+    changeover_on: Literal["estimate", "sample"] = "estimate"
 
 
 class UnsolvableError(ValueError):
@@ -99,11 +102,11 @@ def read_kalman_gain(plant: DiscretePlant, measurement_variance: float, reading:
     Raises
     ------
     UnsolvableError
-        For (28) without ``- X``: its left side is the covariance that a filter predicts, ``A P A' + G W G'`` with
-        P >= 0; that is 0 for no X when G W G' > 0.
+        For (28) without ``- X`` when G W G' > 0: for any covariance X >= 0 its left side is what a filter predicts,
+        ``A_o P A_o' + G W G'`` with P >= 0, and that is not 0.
     """
     if reading.covariance == "as printed":
-        raise UnsolvableError("(28) without - X: its left side is positive definite for every X, and cannot be 0")
+        raise UnsolvableError("(28) without - X has no solution X >= 0: its left side is at least G W G', and never 0")
     return kalman_gain(plant, NoiseModel(reading.process_variance, measurement_variance, reading.disturbance_memory))
 
 
@@ -178,7 +181,7 @@ class TranscribedLaw:
         self._observe(sample)
         if self.stage is Stage.POSITION and not filter_form:
             self._sum += self._target - sample
-        if self.stage is Stage.SPEED and self._at_changeover():
+        if self.stage is Stage.SPEED and self._at_changeover(sample):
             self._change_over()
         self._effort = self._feedback() + self._f2 * self._sum
         if self.stage is Stage.SPEED:
@@ -205,9 +208,10 @@ class TranscribedLaw:
             innovation = sample - self._c_o @ self._x_o
             self._x_o = self._a_o @ self._x_o + self._b_o * self._effort + self._k * innovation
 
-    def _at_changeover(self) -> bool:
+    def _at_changeover(self, sample: float) -> bool:
         direction = float(np.copysign(1.0, self._reference))
-        return direction * (self._target - float(self._x_o[0, 0])) <= self._distance  # (18)
+        position = float(self._x_o[0, 0]) if self._reading.changeover_on == "estimate" else sample
+        return direction * (self._target - position) <= self._distance  # (18)
 
     def _change_over(self) -> None:
         direction = float(np.copysign(1.0, self._reference))
