@@ -190,7 +190,7 @@ def test_a_reader_of_the_report_alone_can_name_every_correction(outcome: Outcome
     text = "".join(reader.text)
     for erratum in ERRATA:
         for part in (erratum.where, erratum.printed, erratum.read_as, erratum.why, erratum.effect):
-            assert part in text
+            assert part.replace("_", "") in text.replace("_", "")  # x_o1 is set as x with an index
         if erratum.as_printed is not None:
             assert f"slip {erratum.number}Example 1" in text
     for equation in ("(11), errata 1, 3", "(25), errata 5, 8", "(28), erratum 7", "(32), erratum 12"):

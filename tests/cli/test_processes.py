@@ -74,6 +74,7 @@ class Machine:
         self.socket = folder / "control.sock"
         self.environment = os.environ | {"TWOSTAGE_SERVO_SOCKET": str(self.socket)}
         self.started: list[Process] = []
+        self.others: list[subprocess.Popen[str]] = []
 
     def start(self, verb: str) -> Process:
         process = Process(verb, "--config", str(self.config), "--json", environment=self.environment)
@@ -170,10 +171,13 @@ def commands_until_disabled(listener: can.BusABC) -> list[tuple[float, int]]:
 @pytest.fixture
 def machine(tmp_path: Path) -> Iterator[Machine]:
     machine = Machine(tmp_path)
+    # A shell lets its background jobs ignore SIGINT, and their children would inherit that.
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield machine
-    for process in machine.started:
-        process.popen.kill()
-        process.popen.communicate()
+    signal.signal(signal.SIGINT, handler)
+    for popen in (*(process.popen for process in machine.started), *machine.others):
+        popen.kill()
+        popen.communicate()
 
 
 def test_a_session_across_three_processes(machine: Machine, tmp_path: Path) -> None:
@@ -186,6 +190,7 @@ def test_a_session_across_three_processes(machine: Machine, tmp_path: Path) -> N
         ],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
+    machine.others.append(logger)
     assert logger.stdout is not None
     assert any("Connected to" in line for line in logger.stdout)
 

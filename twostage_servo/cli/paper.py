@@ -28,13 +28,25 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "paper",
         help="run both examples of the paper with every method; write a report",
         description="Run both examples of the paper with every method, check what the paper claims, and write one "
-        "self-contained HTML report with its figures, their data and every correction to the print. Needs no hardware.",
+        "self-contained HTML report with its figures, their data and every correction to the print. Needs no hardware. "
+        "Exit code 3: a claim does not hold, or the report cannot be written.",
     )
     paper.add_argument(
-        "--out", type=Path, default=Path("paper-report"), metavar="DIR", help="folder to write (default paper-report)"
+        "--out",
+        type=_folder,
+        default=Path("paper-report"),
+        metavar="DIR",
+        help="folder to write: report.html, its figures as SVG and PNG, every sample as CSV, and results.json; files "
+        "of the same names are replaced (default: paper-report in the present folder)",
     )
     paper.add_argument("--json", action="store_true", help="print one JSON object")
     paper.set_defaults(run=_paper)
+
+
+def _folder(text: str) -> Path:
+    if not text:
+        raise argparse.ArgumentTypeError("a folder is needed, such as paper-report")
+    return Path(text)
 
 
 def _paper(options: argparse.Namespace) -> ExitCode:

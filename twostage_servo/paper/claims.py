@@ -102,7 +102,7 @@ def _loads(studies: Studies) -> Iterator[Claim]:
         )
         others = [_number(comparison.scores[key].final_error) for key in ("conventional_model_difference", "proposed")]
         yield Claim(
-            f"{name}, load {LOAD:g} V: with the model difference, and with the proposed law, none is left",
+            f"{name}, load {LOAD:g} V: with the model difference, and with the proposed law, less than {NO_ERROR:g} mm",
             ", ".join(f"{error:+.2g}" for error in others) + " mm",
             all(abs(error) < NO_ERROR for error in others),
         )
@@ -121,9 +121,9 @@ def _set_points(studies: Studies) -> Iterator[Claim]:
             if r >= SETTLED_SPEED
         ]
         yield Claim(
-            f"{name}: the PID's overshoot grows with the set-point, the proposed law's does not (from 200 mm on)",
-            f"PID {pid.overshoots[0]:.3g} to {pid.overshoots[-1]:.3g} mm; proposed {min(long_moves):.4g} to "
-            f"{max(long_moves):.4g} mm",
+            f"{name}: the PID's overshoot grows with the set-point; the proposed law's does not, from 200 mm on",
+            f"PID {pid.overshoots[0]:.3g} mm at {pid.set_points[0]:g} to {pid.overshoots[-1]:.3g} mm at "
+            f"{pid.set_points[-1]:g}; proposed {min(long_moves):.4g} to {max(long_moves):.4g} mm",
             max(shares) - min(shares) < 1e-3 * max(shares)
             and max(long_moves) - min(long_moves) < 5e-3 * max(long_moves),
         )

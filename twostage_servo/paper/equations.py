@@ -28,6 +28,7 @@ PASSAGES: Final = (
         "Effort u in V, position y = x1 in mm, velocity x2 in mm/s; T_s = 10 ms.",
         (
             Equation("35", r"G(s) = \frac{180}{s (s + 14)}"),
+            Equation("38", r"G(s) = \frac{180 \cdot 1.3}{s (s + 14 \cdot 0.7)} \quad \text{(driven in Example 2)}"),
             Equation("1, 2", r"x(k+1) = A x(k) + B u(k), \quad y(k) = C x(k)"),
         ),
     ),
@@ -46,7 +47,7 @@ PASSAGES: Final = (
                 r"J = \sum_{k=0}^{\infty} x_p^T Q x_p + R \, \Delta u^2, \quad Q = q \, \mathrm{diag}(1, 0, 1)",
                 (1, 3),
             ),
-            Equation("12", r"u(k) = -f_{11} x_1(k) - f_{12} x_2(k) + f_{22} \sum_{i=0}^{k-1} e(i)", (2,)),
+            Equation("12", r"\Delta u(k) = -f_{11} \Delta x_1(k) - f_{12} \Delta x_2(k) + f_{22} e(k-1)", (2,)),
         ),
     ),
     Passage(

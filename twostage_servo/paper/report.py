@@ -1,6 +1,7 @@
 """One HTML file that holds everything: claims, tables, figures, equations and corrections."""
 
 import math
+import re
 from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -131,7 +132,7 @@ def _claims(claims: Iterable[Claim]) -> str:
         )
         for claim in claims
     )
-    return _table(("claim", "measured", ""), rows, texts=3)
+    return _table(("claim", "measured", "verdict"), rows, texts=3)
 
 
 def _gains() -> str:
@@ -143,7 +144,7 @@ def _gains() -> str:
             _row(_cell(example.title), _number(f"{example.ratio:g}"), *(_number(f"{value:.6g}") for value in numbers))
         )
     heads = ("", "Q/R", "f11 (V/mm)", "f12 (V s/mm)", "f22 (V/mm)", "p (mm)")
-    return _table((*heads, "A_o K: position", "velocity (1/s)", "load (V/mm)"), rows)
+    return _table((*heads, "A_o K: position", "velocity (1/s)", "disturbance (V/mm)"), rows)
 
 
 def _methods() -> str:
@@ -184,7 +185,7 @@ def _loads(studies: Studies) -> str:
         for name, method in METHODS.items()
     ]
     predicted = (_number(f"{steady_error(example, LOAD):+.4f}") for example in EXAMPLES)
-    rows.append(_row(_cell("-f11 v_m T_s / f22: what theory says of the conventional law"), *predicted))
+    rows.append(_row(_cell("theory, for the conventional law"), *predicted))
     return _table((f"final error (mm) under {LOAD:g} V", "Example 1", "Example 2"), rows)
 
 
@@ -261,7 +262,7 @@ def _slips(slips: Iterable[SlipEffect]) -> str:
 def _equations() -> str:
     parts = []
     for passage in PASSAGES:
-        parts.append(f"<h3>{escape(passage.title)}</h3>\n<p>{escape(passage.text)}</p>\n")
+        parts.append(f"<h3>{escape(passage.title)}</h3>\n<p>{_typeset(passage.text)}</p>\n")
         parts.extend(_equation(equation) for equation in passage.equations)
     return "".join(parts)
 
@@ -293,7 +294,7 @@ def _head(text: str, *, number: bool) -> str:
     if not text:
         return "<td></td>"
     kind = ' class="number"' if number else ""
-    return f'<th scope="col"{kind}>{escape(text)}</th>'
+    return f'<th scope="col"{kind}>{_typeset(text)}</th>'
 
 
 def _row(*cells: str, ours: bool = False) -> str:
@@ -302,7 +303,12 @@ def _row(*cells: str, ours: bool = False) -> str:
 
 
 def _cell(text: str) -> str:
-    return f"<td>{escape(text)}</td>"
+    return f"<td>{_typeset(text)}</td>"
+
+
+def _typeset(text: str) -> str:
+    """Escape a text, and set the index of a symbol such as x_o1 below its letter."""
+    return re.sub(r"(?<!\w)([A-Za-z])_([A-Za-z0-9]+)", r"\1<sub>\2</sub>", escape(text))
 
 
 def _number(text: str) -> str:
