@@ -13,7 +13,7 @@ from twostage_servo.control.yardsticks.transcription import Reading
 from twostage_servo.paper.errata import ERRATA
 from twostage_servo.paper.examples import EXAMPLE_1, EXAMPLE_2, EXAMPLES, MODEL, Example
 from twostage_servo.paper.experiment import simulate
-from twostage_servo.paper.methods import METHODS, transcribed
+from twostage_servo.paper.methods import METHODS, model_difference_without_sensor, transcribed
 from twostage_servo.paper.scores import Scores, score
 from twostage_servo.paper.studies import (
     LOAD,
@@ -189,6 +189,13 @@ def test_under_a_load_the_conventional_law_keeps_an_error_and_the_others_keep_no
     for name in FEEDS_NOTHING_BUT_THE_PLANT:
         assert abs(known(scores[name].final_error)) < 0.02
         assert scores[name].settling_time_s is not None
+
+
+def test_the_difference_removes_the_error_with_a_differentiated_velocity_too() -> None:
+    scores = score(simulate(model_difference_without_sensor, EXAMPLE_1, load=LOAD))
+    assert abs(known(scores.final_error)) < 0.02
+    noise = known(compared("example1").scores["conventional_differentiated"].velocity_noise_rms)
+    assert known(scores.velocity_noise_rms) == pytest.approx(noise, rel=0.01)  # the same speed stage
 
 
 @each_example
