@@ -5,6 +5,10 @@ In CI they try the same examples every time, so that a change is judged by what 
 
 import os
 
+# Before anything imports numpy: threads for matrices of order 3 only wait for each other, and on a busy machine that
+# takes twenty times as long.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(

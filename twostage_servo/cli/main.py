@@ -37,6 +37,8 @@ def build_parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return its exit code."""
     _prepare_streams()
+    # Our matrices are of order 6 at most: numpy's threads would only wait for each other, and for a busy core.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete

@@ -12,7 +12,6 @@ from twostage_servo.paper.studies import LOAD, Comparison, Curve, Studies, stead
 
 NO_ERROR: Final = 0.02
 """Final error in mm that counts as none: Example 1's noise leaves 0.006."""
-
 COMPARED_TICKS: Final = 400
 """Fewest ticks that a comparison over frames must have: 4 s, to beyond the change-over."""
 SETTLED_SPEED: Final = 200.0
@@ -121,7 +120,8 @@ def _set_points(studies: Studies) -> Iterator[Claim]:
             if r >= SETTLED_SPEED
         ]
         yield Claim(
-            f"{name}: the PID's overshoot grows with the set-point; the proposed law's does not, from 200 mm on",
+            f"{name}: the PID's overshoot grows with the set-point; the proposed law's does not, from "
+            f"{SETTLED_SPEED:g} mm on",
             f"PID {pid.overshoots[0]:.3g} mm at {pid.set_points[0]:g} to {pid.overshoots[-1]:.3g} mm at "
             f"{pid.set_points[-1]:g}; proposed {min(long_moves):.4g} to {max(long_moves):.4g} mm",
             max(shares) - min(shares) < 1e-3 * max(shares)

@@ -114,4 +114,5 @@ def _effort_steps(run: Run) -> tuple[float, float, float]:
     if at is None:
         return 0.0, 0.0, max(steps, default=0.0)
     ordinary = steps[max(0, at - 1 - ORDINARY_TICKS) : max(0, at - 1)]
-    return steps[at - 1] if at else 0.0, steps[at], max(ordinary, default=0.0)
+    into, out = (steps[index] if 0 <= index < len(steps) else 0.0 for index in (at - 1, at))
+    return into, out, max(ordinary, default=0.0)

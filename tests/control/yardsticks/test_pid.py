@@ -36,18 +36,20 @@ class Axis:
     velocity: float = 0.0
     sample: float = 0.0
 
+    def __post_init__(self) -> None:
+        continuous = np.array([[0.0, 1.0, 0.0], [0.0, -self.plant.pole, self.plant.gain], [0.0, 0.0, 0.0]])
+        (_, self._a12, self._b1), (_, self._a22, self._b2), _ = expm(continuous * PERIOD_S).tolist()
+
     def drive(self, law: Law, ticks: int, noise: Sequence[float] | None = None) -> NDArray[np.float64]:
         """Close the loop; return position and velocity before each effort, and that effort, in three rows."""
-        continuous = np.array([[0.0, 1.0, 0.0], [0.0, -self.plant.pole, self.plant.gain], [0.0, 0.0, 0.0]])
-        (_, a12, b1), (_, a22, b2), _ = expm(continuous * PERIOD_S).tolist()
         rows = []
         for k in range(ticks):
             before, self.sample = self.sample, self.position + (noise[k] if noise is not None else 0.0)
             effort = law.step(before if law.sample_age else self.sample)
             rows.append((self.position, self.velocity, effort))
             total = effort - self.load
-            self.position += a12 * self.velocity + b1 * total
-            self.velocity = a22 * self.velocity + b2 * total
+            self.position += self._a12 * self.velocity + self._b1 * total
+            self.velocity = self._a22 * self.velocity + self._b2 * total
         return np.array(rows).T
 
 
