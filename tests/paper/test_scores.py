@@ -132,6 +132,11 @@ def test_a_changeover_in_the_first_tick_has_no_step_before_it_to_count() -> None
     assert scores.following_effort_step == pytest.approx(4.0)
 
 
+def test_a_run_that_ends_with_its_changeover_has_no_step_after_it_to_count() -> None:
+    scores = score(made(effort={TICKS - 1: 3.0}, changeover=TICKS - 1))
+    assert (scores.changeover_effort_step, scores.following_effort_step) == (3.0, 0.0)
+
+
 @pytest.mark.parametrize("direction", DIRECTIONS)
 def test_the_final_error_is_the_mean_of_the_last_second_with_its_sign(direction: float) -> None:
     run = made(direction, position={10: 50.0, TICKS - 100: 99.0, TICKS - 50: 100.5})
