@@ -10,7 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.control.yardsticks.test_pid import MODEL, PERIOD_S, QUICK, SAMPLED, SLOW, Axis
+from tests.control.yardsticks.rig import MODEL, PERIOD_S, QUICK, SAMPLED, SLOW, Axis
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import Plant
 from twostage_servo.control.two_stage import Stage

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.control.yardsticks.test_pid import MODEL, PERIOD_S, QUICK, SLOW, Axis
+from tests.control.yardsticks.rig import MODEL, PERIOD_S, QUICK, SLOW, Axis
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import Plant
 from twostage_servo.control.yardsticks.optimal_servo import OptimalServo

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.control.yardsticks.test_pid import MODEL, PERIOD_S, Axis
+from tests.control.yardsticks.rig import MODEL, PERIOD_S, Axis
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant
