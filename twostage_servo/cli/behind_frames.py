@@ -85,4 +85,5 @@ def _differences(demonstration: Demonstration, run: Run) -> tuple[float, float, 
 
 def _figures(demonstration: Demonstration) -> dict[str, Any]:
     result = demonstration.result()
-    return {name: result[name] for name in ("overshoot", "settling_time_s", "peak_velocity", "final_error")}
+    figures = {name: result[name] for name in ("overshoot", "settling_time_s", "final_error")}
+    return {**figures, "speed_overshoot": max(0.0, result["peak_velocity"] - VELOCITY)}

@@ -1,25 +1,20 @@
 """`paper`: both examples of the paper with every method, as a table, as JSON, and as a report with figures."""
 
 import argparse
-import csv
-import json
 from contextlib import contextmanager
-from io import StringIO
-from itertools import zip_longest
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, print_json, print_line
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from twostage_servo.paper.claims import Claim
     from twostage_servo.paper.frames import FramesComparison
-    from twostage_servo.paper.plots import Picture
-    from twostage_servo.paper.studies import Comparison, Curve, Studies
+    from twostage_servo.paper.studies import Studies
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -54,6 +49,7 @@ def _paper(options: argparse.Namespace) -> ExitCode:
 
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its remarks on its cache are nobody's concern here
     from twostage_servo.paper.claims import check_claims
+    from twostage_servo.paper.publication import report_files, results
     from twostage_servo.paper.studies import run_all
 
     progress = Progress(quiet=options.json)
@@ -63,9 +59,9 @@ def _paper(options: argparse.Namespace) -> ExitCode:
             progress.show("the law behind CAN frames, in simulated time")
             frames = _run_frames()
             claims = check_claims(studies, frames)
-            result = _result(studies, claims, frames)
+            result = results(studies, claims, frames)
             progress.show("figures and report")
-            files = _contents(studies, claims, frames, result)
+            files = report_files(studies, claims, frames, result)
             for name, content in files.items():
                 _write(staging / name, content, options.out)
     finally:
@@ -79,7 +75,7 @@ def _paper(options: argparse.Namespace) -> ExitCode:
 
 @contextmanager
 def _staged(folder: Path) -> "Iterator[Path]":
-    """Give a folder to write into; its files take their places in `folder` together, at the end, or not at all."""
+    """Give a folder to write into; its files take their places in `folder` when all are written, report.html last."""
     created = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -123,104 +119,6 @@ def _run_frames() -> "dict[str, FramesComparison]":
         writer.close()
 
 
-def _result(studies: "Studies", claims: "Sequence[Claim]", frames: "Mapping[str, FramesComparison]") -> dict[str, Any]:
-    from dataclasses import asdict
-
-    from twostage_servo.paper.examples import EXAMPLES
-    from twostage_servo.paper.experiment import SEED
-    from twostage_servo.paper.studies import LOAD, steady_error
-
-    return {
-        "seed": SEED,
-        "gains": {
-            example.name: {
-                **asdict(example.gains),
-                "changeover_distance": example.changeover_distance,
-                "kalman_gain": list(example.kalman.predictor),
-            }
-            for example in EXAMPLES
-        },
-        **{pair.example.name: _scores(pair) for pair in studies.comparisons},
-        "constant_load": {
-            "load": LOAD,
-            "predicted_conventional_error": {example.name: steady_error(example, LOAD) for example in EXAMPLES},
-            **{pair.example.name: _scores(pair) for pair in studies.under_load},
-        },
-        "overshoot_by_set_point": _by_example(studies.by_set_point),
-        "overshoot_by_phase": _by_example(studies.by_phase),
-        "slips": [
-            {
-                "number": slip.erratum.number,
-                "example": slip.example.name,
-                "corrected": slip.corrected.as_json(),
-                "printed": None if slip.printed is None else slip.printed.as_json(),
-                "unsolvable": slip.unsolvable,
-            }
-            for slip in studies.slips
-        ],
-        "frames": {name: asdict(pair) for name, pair in frames.items()},
-        "claims": [asdict(claim) for claim in claims],
-    }
-
-
-def _scores(comparison: "Comparison") -> dict[str, Any]:
-    return {name: scores.as_json() for name, scores in comparison.scores.items()}
-
-
-def _by_example(curves: "Sequence[Sequence[Curve]]") -> dict[str, Any]:
-    from twostage_servo.paper.examples import EXAMPLES
-
-    return {
-        example.name: {
-            curve.name: {"set_points": list(curve.set_points), "overshoots": list(curve.overshoots)} for curve in group
-        }
-        for example, group in zip(EXAMPLES, curves, strict=True)
-    }
-
-
-def _contents(
-    studies: "Studies", claims: "Sequence[Claim]", frames: "Mapping[str, FramesComparison]", result: dict[str, Any]
-) -> dict[str, bytes]:
-    """Return every file by its name."""
-    from twostage_servo.paper.report import render
-
-    files: dict[str, bytes] = {}
-    pictures = _draw(studies)
-    for picture in pictures:
-        files[f"{picture.name}.svg"] = picture.svg
-        files[f"{picture.name}.png"] = picture.png
-    for comparison in studies.comparisons:
-        files[f"{comparison.example.name}.csv"] = _samples(comparison).encode()
-    files["results.json"] = (json.dumps(result, indent=2, allow_nan=False) + "\n").encode()
-    files["report.html"] = render(studies, claims, frames, pictures).encode()
-    return files
-
-
-def _draw(studies: "Studies") -> "list[Picture]":
-    from twostage_servo.paper import plots
-
-    with plots.our_style():
-        return [
-            *plots.papers_figures(*studies.comparisons),
-            plots.printed_speed_stage(studies.comparisons[1]),
-            plots.disturbance(studies.under_load),
-            plots.set_point_dependence(studies.by_set_point),
-            plots.phase_dependence(studies.by_phase),
-        ]
-
-
-def _samples(comparison: "Comparison") -> str:
-    """Return every sample of every method's run as CSV, one row per tick; a run that ended early leaves cells empty."""
-    columns: dict[str, list[float]] = {"time_s": []}
-    for name, run in comparison.runs.items():
-        columns["time_s"] = max(columns["time_s"], run.time_s, key=len)
-        for quantity in ("position", "velocity", "law_velocity", "effort"):
-            columns[f"{name}.{quantity}"] = getattr(run, quantity)
-    text = StringIO(newline="")
-    csv.writer(text).writerows([list(columns), *zip_longest(*columns.values())])
-    return text.getvalue()
-
-
 _HEADS = (
     ("", "over-", "sett-", "speed", "veloc.", "veloc.", "effort", "final"),
     ("", "shoot", "ling", "over", "noise", "error", "step", "error"),
@@ -252,7 +150,9 @@ def _as_text(studies: "Studies", claims: "Sequence[Claim]", report: Path, files:
             *(_line(*heads) for heads in _HEADS),
         ]
         for name, scores in comparison.scores.items():
-            lines.append(_line(METHODS[name].label, *(score_text(scores, column, digits=3) for column in _SHOWN)))
+            lines.append(
+                _line(METHODS[name].label, *(score_text(scores.as_json(), column, digits=3) for column in _SHOWN))
+            )
         lines.append("")
     for claim in claims:
         lines += wrap(f"{'holds' if claim.holds else 'DOES NOT HOLD'}: {claim.claim}", 78, subsequent_indent="       ")

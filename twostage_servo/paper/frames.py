@@ -23,7 +23,7 @@ class FramesComparison:
     ticks
         Number of ticks compared.
     frames, delayed
-        overshoot (mm), settling_time_s, peak_velocity (mm/s) and final_error (mm) of the run over frames with the
+        overshoot (mm), settling_time_s, speed_overshoot (mm/s) and final_error (mm) of the run over frames with the
         example's noise, and with :data:`EXTRA_DELAY_MS` of transport delay on top.
     """
 

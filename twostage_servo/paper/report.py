@@ -48,9 +48,9 @@ def figure_text(value: float | None, digits: int = 4) -> str:
     return f"{value:.{digits}g}" if abs(value) >= 1e-3 else f"{value:.1e}"
 
 
-def score_text(scores: Scores, column: str, digits: int = 4) -> str:
-    """Return one figure of a run as the tables show it."""
-    value: float | None = getattr(scores, column)
+def score_text(figures: Mapping[str, Any], column: str, digits: int = 4) -> str:
+    """Return one figure of a run, by its name in the JSON, as the tables show it."""
+    value: float | None = figures[column]
     if column == "settling_time_s":
         return "never" if value is None else f"{value:.2f}"
     return figure_text(value, digits)
@@ -73,7 +73,7 @@ def render(
         Every figure; its name is its place in the template.
     """
     quanta = frames[EXAMPLES[0].name]
-    _first, second = (comparison.scores for comparison in studies.comparisons)
+    second = studies.comparisons[1].scores
     late1, late2 = (example.gains.f22 * VELOCITY * PERIOD_S / 8.0 for example in EXAMPLES)
     difference = studies.difference_without_sensor[1]
     places = {
@@ -90,7 +90,7 @@ def render(
         "sensor_speed": f"{second['conventional_two_output'].speed_overshoot:.0f}",
         "nominal_speed": f"{studies.nominal_speed_overshoot:.0f}",
         "difference_overshoot": figure_text(difference.overshoot, 1),
-        "difference_settling": score_text(difference, "settling_time_s"),
+        "difference_settling": score_text(difference.as_json(), "settling_time_s"),
         "swing": f"{studies.speed_stage_swing_hz:.0f}",
         "short_overshoot": f"{_overshoot_at(studies, 50.0):.2f}",
         "late1": f"{late1:.1g}",
@@ -172,14 +172,14 @@ def _figures(scores: Scores) -> list[str]:
     if scores.diverged:
         text = f"runs away: more than {DIVERGED / 1e3:g} m from the set-point after {scores.duration_s:.2f} s"
         return [f'<td colspan="{len(COLUMNS)}">{text}</td>']
-    return [_number(score_text(scores, name)) for name, _ in COLUMNS]
+    return [_number(score_text(scores.as_json(), name)) for name, _ in COLUMNS]
 
 
 def _loads(studies: Studies) -> str:
     rows = [
         _row(
             _cell(method.title),
-            *(_number(score_text(comparison.scores[name], "final_error")) for comparison in studies.under_load),
+            *(_number(figure_text(comparison.scores[name].final_error)) for comparison in studies.under_load),
             ours=name == "proposed",
         )
         for name, method in METHODS.items()
@@ -209,21 +209,17 @@ def _frame_differences(frames: Mapping[str, FramesComparison]) -> str:
 
 
 def _frame_scores(studies: Studies, frames: Mapping[str, FramesComparison]) -> str:
+    columns = ("overshoot", "settling_time_s", "speed_overshoot", "final_error")
     rows = []
     for comparison in studies.comparisons:
         pair = frames[comparison.example.name]
-        alone = comparison.scores["proposed"].as_json()
-        alone["speed"] = alone["speed_overshoot"]
-        runs: dict[str, dict[str, Any]] = {
-            "the law alone": alone,
-            "over frames": {**pair.frames, "speed": pair.frames["peak_velocity"] - VELOCITY},
-            f"over frames, {EXTRA_DELAY_MS:g} ms later": {
-                **pair.delayed,
-                "speed": pair.delayed["peak_velocity"] - VELOCITY,
-            },
+        runs = {
+            "the law alone": comparison.scores["proposed"].as_json(),
+            "over frames": pair.frames,
+            f"over frames, {EXTRA_DELAY_MS:g} ms later": pair.delayed,
         }
         for title, figures in runs.items():
-            numbers = (figure_text(figures[key]) for key in ("overshoot", "settling_time_s", "speed", "final_error"))
+            numbers = (score_text(figures, column) for column in columns)
             rows.append(_row(_cell(comparison.example.short_title), _cell(title), *map(_number, numbers)))
     return _table(
         ("", "", "overshoot (mm)", "settling (s)", "speed overshoot (mm/s)", "final error (mm)"), rows, texts=2

@@ -30,7 +30,7 @@ class Reading:
     cost
         What (11) weighs: the state ``x_p``, which is incremental already, or as printed its increment (erratum 1).
     feedback_sign
-        -1, or +1 as printed in (12), (14), (15), (29), (30) and (33) (erratum 2).
+        -1, or +1 as printed in (12), (14), (15), (29), (30), (33) and (34) (erratum 2).
     weights
         Diagonal of Q / q (erratum 3).
     disturbance_memory
