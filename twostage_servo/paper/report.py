@@ -304,7 +304,7 @@ def _cell(text: str) -> str:
 
 def _typeset(text: str) -> str:
     """Escape a text, and set the index of a symbol such as x_o1 below its letter."""
-    return re.sub(r"(?<!\w)([A-Za-z])_([A-Za-z0-9]+)", r"\1<sub>\2</sub>", escape(text))
+    return re.sub(r"(?<![A-Za-z0-9_])([A-Za-z])_([A-Za-z0-9]+)", r"\1<sub>\2</sub>", escape(text))
 
 
 def _number(text: str) -> str:
