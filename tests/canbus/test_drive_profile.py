@@ -7,7 +7,7 @@ import can
 import cantools
 import pytest
 from cantools.database.can import Database
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from twostage_servo.canbus.checksum import crc8_j1850, sum8, xor8
@@ -18,6 +18,7 @@ from twostage_servo.canbus.profile import (
     FrameRejected,
     Heartbeat,
     Identifier,
+    Index,
     ProtocolError,
     ProtocolSettings,
 )
@@ -38,6 +39,8 @@ BO_ 2566848514 Status: 8 Motor
  SG_ Error : 39|8@0+ (1,0) [0|255] "" Host
  SG_ Cycle : 43|4@0+ (1,0) [0|13] "" Host
  SG_ Unsigned : 63|8@0+ (1,0) [0|0] "" Host
+BO_ 2566848516 Mark: 4 Motor
+ SG_ Latch : 7|32@0- (0.01,0) [-1000000|1000000] "deg" Host
 BO_ 2566848515 Paged: 8 Motor
  SG_ Page M : 0|8@1+ (1,0) [0|0] "" Host
  SG_ Angle m1 : 8|16@1- (1,0) [0|0] "deg" Host
@@ -54,6 +57,10 @@ OTHER: dict[str, Any] = {
         "fault": False,
         "fault_code": "Error",
         "command_timeout": False,
+        "safe_torque_off": False,
+        "positive_limit": False,
+        "negative_limit": False,
+        "home_switch": False,
         "counter": "Cycle",
         "checksum": False,
     },
@@ -65,6 +72,7 @@ OTHER: dict[str, Any] = {
         "checksum": "Sum",
         "constants": {"Mode": 4},
     },
+    "index": {"message": False},
     "heartbeat": {"message": False},
 }
 
@@ -103,7 +111,7 @@ def message_of(data: bytes, identifier: int = 0x181, **kwargs: Any) -> can.Messa
 def test_every_message_and_signal_of_the_shipped_dbc_is_documented() -> None:
     for message in shipped_database().messages:
         assert message.comment, message.name
-        assert message.cycle_time, message.name
+        assert message.cycle_time or message.name == "DriveIndex", message.name  # which an event sends
         for signal in message.signals:
             assert signal.comment, f"{message.name}.{signal.name}"
             assert signal.minimum is not None, f"{message.name}.{signal.name}"
@@ -114,10 +122,13 @@ def test_shipped_profile_has_the_figures_of_the_documented_protocol() -> None:
     assert SHIPPED.command_id == Identifier(0x201, extended=False)
     assert SHIPPED.feedback_id == Identifier(0x181, extended=False)
     assert SHIPPED.heartbeat_id == Identifier(0x701, extended=False)
-    assert SHIPPED.controller_identifiers == (SHIPPED.feedback_id, SHIPPED.heartbeat_id)
+    assert SHIPPED.index_id == Identifier(0x281, extended=False)
+    assert SHIPPED.controller_identifiers == (SHIPPED.feedback_id, SHIPPED.index_id, SHIPPED.heartbeat_id)
     assert SHIPPED.drive_identifiers == (SHIPPED.command_id,)
     assert (SHIPPED.effort_quantum, SHIPPED.effort_limit, SHIPPED.position_quantum) == (0.001, 32.0, 0.001)
-    assert (SHIPPED.counter_modulus, SHIPPED.command_counter_modulus) == (16, 16)
+    assert (SHIPPED.counter_modulus, SHIPPED.command_counter_modulus, SHIPPED.index_counter_modulus) == (16, 16, 16)
+    assert (SHIPPED.boot_counter_modulus, SHIPPED.sampling) == (256, "on_command")
+    assert SHIPPED.position_period == pytest.approx(4294967.296, rel=1e-15)
     assert SHIPPED.fault_texts[1] == "Command timeout"
     assert SHIPPED.state_texts[3] == "Operation enabled"
 
@@ -140,12 +151,12 @@ def test_commands_are_those_of_cantools(effort: float, enable: bool, counter: in
 
 FEEDBACKS = st.builds(
     Feedback,
-    st.integers(-(2**31), 2**31 - 1).map(lambda raw: raw * 0.001),
+    st.integers(-(2**31) + 1, 2**31 - 1).map(lambda raw: raw * 0.001),
     st.integers(0, 15),
     st.booleans(),
     st.booleans(),
     st.integers(0, 255),
-    st.booleans(),
+    *[st.booleans()] * 5,
 )
 
 
@@ -162,8 +173,25 @@ def test_feedback_is_that_of_cantools(feedback: Feedback) -> None:
         "Fault": feedback.fault,
         "FaultCode": feedback.fault_code,
         "CommandTimeout": feedback.command_timeout,
+        "SafeTorqueOff": feedback.safe_torque_off,
+        "PositiveLimit": feedback.positive_limit,
+        "NegativeLimit": feedback.negative_limit,
+        "HomeSwitch": feedback.home_switch,
     }
     assert SHIPPED.decode_feedback(message_of(data)) == feedback
+
+
+@given(st.integers(-(2**31) + 1, 2**31 - 1), st.integers(0, 15))
+def test_index_is_that_of_cantools(raw: int, counter: int) -> None:
+    index = Index(raw * 0.001, counter)
+    data = SHIPPED.encode_index(index)
+    values = {"Position": index.position, "AliveCounter": counter, "Checksum": crc8_j1850(0x281, data[:5])}
+    assert data == shipped_database().encode_message("DriveIndex", values)
+    message = message_of(data, 0x281)
+    assert SHIPPED.is_index(message)
+    assert not SHIPPED.is_feedback(message)
+    assert not SHIPPED.is_heartbeat(message)
+    assert SHIPPED.decode_index(message) == index
 
 
 @given(st.integers(0, 7), st.integers(0, 255))
@@ -252,9 +280,18 @@ def test_a_state_outside_limits_or_value_table_is_a_reserved_value(folder: Path)
         assert caught.value.reason == "reserved_value"
 
 
+@pytest.mark.parametrize("identifier", [0x181, 0x281])
+def test_the_reserved_position_is_rejected(identifier: int) -> None:
+    length, decode = (7, SHIPPED.decode_feedback) if identifier == 0x181 else (5, SHIPPED.decode_index)
+    covered = bytes.fromhex("00000080").ljust(length, b"\0")
+    with pytest.raises(FrameRejected, match="raw value -2147483648 is outside") as caught:
+        decode(message_of(covered + bytes((crc8_j1850(identifier, covered),)), identifier))
+    assert caught.value.reason == "reserved_value"
+
+
 @given(
     data=st.binary(max_size=12),
-    identifier=st.sampled_from([0x181, 0x201, 0x701, 0x18FF0001]),
+    identifier=st.sampled_from([0x181, 0x201, 0x281, 0x701, 0x18FF0001]),
     is_error_frame=st.booleans(),
     is_remote_frame=st.booleans(),
     is_fd=st.booleans(),
@@ -262,7 +299,7 @@ def test_a_state_outside_limits_or_value_table_is_a_reserved_value(folder: Path)
 )
 def test_whatever_arrives_decodes_or_is_rejected(data: bytes, identifier: int, **kind: bool) -> None:
     message = message_of(b"" if kind["is_remote_frame"] else data, identifier, **kind)
-    for decode in (SHIPPED.decode_feedback, SHIPPED.decode_command, SHIPPED.decode_heartbeat):
+    for decode in (SHIPPED.decode_feedback, SHIPPED.decode_command, SHIPPED.decode_index, SHIPPED.decode_heartbeat):
         with contextlib.suppress(FrameRejected):
             values = decode(message)
             assert not any(kind.values())
@@ -271,6 +308,7 @@ def test_whatever_arrives_decodes_or_is_rejected(data: bytes, identifier: int, *
 
 @given(data=st.binary(min_size=8, max_size=8), flip=st.integers(0, 63))
 def test_a_flipped_bit_never_gets_through(data: bytes, flip: int) -> None:
+    assume(data[:4] != b"\0\0\0\x80")
     good = data[:7] + bytes((crc8_j1850(0x181, data[:7]),))
     assert math.isfinite(SHIPPED.decode_feedback(message_of(good)).position)
     bad = (int.from_bytes(good, "little") ^ 1 << flip).to_bytes(8, "little")
@@ -329,6 +367,27 @@ def test_a_drive_without_heartbeat_has_none_to_decode_or_encode(folder: Path) ->
         profile.encode_heartbeat(Heartbeat(0, 0))
 
 
+def test_a_drive_without_index_has_none_to_decode_or_encode(folder: Path) -> None:
+    profile = DriveProfile.compile(other_settings(), folder, "mm")
+    message = message_of(bytes(6), 0x281)
+    assert not profile.is_index(message)
+    assert (profile.index_id, profile.index_counter_modulus) == (None, 1)
+    with pytest.raises(FrameRejected, match="no index message"):
+        profile.decode_index(message)
+    with pytest.raises(ValueError, match="no index message"):
+        profile.encode_index(Index(0.0, 0))
+
+
+def test_the_index_of_another_drive_has_the_scale_of_its_feedback(folder: Path) -> None:
+    index = {"message": "Mark", "position": "Latch", "counter": False, "checksum": False}
+    profile = DriveProfile.compile(other_settings(index=index), folder, "mm")
+    assert profile.index_id == Identifier(0x18FF0004, extended=True)
+    assert profile.controller_identifiers == (profile.feedback_id, profile.index_id)
+    frame = message_of(bytes.fromhex("ffffff9c"), 0x18FF0004, is_extended_id=True)
+    assert profile.decode_index(frame) == Index(0.5, None)
+    assert profile.encode_index(Index(0.5, 3)) == frame.data
+
+
 def test_the_algorithm_is_the_one_that_the_settings_name() -> None:
     profile = DriveProfile.compile(shipped_settings(checksum="xor8"), Path(), "mm")
     data = profile.encode_command(1.0, enable=True, counter=1)
@@ -341,6 +400,7 @@ def test_a_drive_may_have_no_checksum_at_all() -> None:
     settings = shipped_settings(
         checksum="none",
         feedback={"checksum": False},
+        index={"checksum": False},
         command={"checksum": False, "constants": {"Checksum": 85.0}},
     )
     profile = DriveProfile.compile(settings, Path(), "mm")
@@ -393,9 +453,28 @@ def test_wrong_unit_is_refused_unless_a_scale_says_how_to_convert() -> None:
         ({"checksum": "none"}, "feedback.checksum", "protocol.checksum is 'none', but feedback.checksum names"),
         ({"checksum": "none", "feedback": {"checksum": False}}, "command.checksum", "command.checksum names a signal"),
         (
-            {"feedback": {"checksum": False}, "command": {"checksum": False, "constants": {"Checksum": 0.0}}},
+            {"checksum": "none", "feedback": {"checksum": False}, "command": {"checksum": False}},
+            "index.checksum",
+            "set index.message to false",
+        ),
+        (
+            {
+                "feedback": {"checksum": False},
+                "command": {"checksum": False, "constants": {"Checksum": 0.0}},
+                "index": {"checksum": False},
+            },
             "checksum",
-            "neither feedback.checksum nor command.checksum",
+            "neither feedback.checksum nor command.checksum nor index.checksum",
+        ),
+        ({"feedback": {"home_switch": "Home"}}, "feedback.home_switch", "Did you mean 'HomeSwitch'"),
+        ({"index": {"message": "DriveIndx"}}, "index.message", "Did you mean 'DriveIndex'"),
+        ({"index": {"counter": "Position"}}, "index.counter", "used for two purposes"),
+        ({"index": {"position": "AliveCounter", "counter": False}}, "index.position", "its roll-over is 16, that"),
+        ({"dbc": "inch.dbc"}, "index.position", "its unit is in, that of the feedback's position mm"),
+        (
+            {"dbc": "narrow.dbc"},
+            "index.position",
+            "its roll-over is 65.536, that of the feedback's position 4294967.296",
         ),
         ({"dbc": "absent.dbc"}, "dbc", "cannot read the DBC file"),
         ({"dbc": "broken.dbc"}, "dbc", "cannot read the DBC file"),
@@ -405,6 +484,10 @@ def test_what_does_not_fit_is_refused_with_the_key_to_change(
     changes: dict[str, Any], key: str, text: str, tmp_path: Path
 ) -> None:
     (tmp_path / "broken.dbc").write_text("BO_ nonsense")
+    before, latched, after = DBC.read_text(encoding="cp1252").partition("BO_ 641 DriveIndex")
+    narrow = after.replace("0|32@1- (0.001,0) [-2147483.647|2147483.647]", "0|16@1- (0.001,0) [-32.768|32.767]", 1)
+    (tmp_path / "narrow.dbc").write_text(before + latched + narrow, encoding="cp1252")
+    (tmp_path / "inch.dbc").write_text(before + latched + after.replace('"mm"', '"in"', 1), encoding="cp1252")
     with pytest.raises(ProtocolError) as caught:
         DriveProfile.compile(shipped_settings(**changes), tmp_path, "mm")
     assert caught.value.key == ("protocol", *(key.split(".") if key else []))

@@ -2,80 +2,31 @@ import itertools
 import math
 import statistics
 from pathlib import Path
-from typing import Any
 
 import can
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pydantic import ValidationError
-from scipy.linalg import expm
 
+from tests.simulation.bench import START_S, Bench, message, motion
 from twostage_servo.canbus.profile import (
     CommandSettings,
     DriveProfile,
     Feedback,
+    FeedbackSettings,
     Heartbeat,
     Identifier,
     ProtocolSettings,
 )
-from twostage_servo.simulation.drive import COMMAND_TIMEOUT_FAULT, SimulatedDrive
+from twostage_servo.simulation.drive import COMMAND_TIMEOUT_FAULT
 from twostage_servo.simulation.settings import SimulationSettings
-
-GAIN, POLE = 180.0, 14.0
-START_S = 1000.0  # a drive must not rely on a clock that begins at 0
-
-
-class Bench:
-    """A drive, and a controller's end of its bus."""
-
-    def __init__(self, profile: DriveProfile, boot_counter: int = 0, **settings: Any) -> None:
-        self.profile = profile
-        self.drive = SimulatedDrive(SimulationSettings(**settings), profile, START_S, boot_counter)
-        self.counter = 0
-
-    def command(self, at_s: float, effort: float = 0.0, *, enable: bool = True, repeat_counter: bool = False) -> None:
-        self.counter += not repeat_counter
-        data = self.profile.encode_command(effort, enable, self.counter)
-        self.drive.receive(message(self.profile.command_id, data), START_S + at_s)
-
-    def enable(self, at_s: float = 0.0, effort: float = 0.0) -> None:
-        self.command(at_s, enable=False)
-        self.command(at_s, effort)
-
-    def cycle(self, at_s: float) -> list[Feedback | Heartbeat]:
-        return [self.decode(*frame) for frame in self.drive.cycle(START_S + at_s)]
-
-    def feedback(self, at_s: float) -> list[Feedback]:
-        return [frame for frame in self.cycle(at_s) if isinstance(frame, Feedback)]
-
-    def decode(self, identifier: Identifier, data: bytes) -> Feedback | Heartbeat:
-        if identifier == self.profile.heartbeat_id:
-            return self.profile.decode_heartbeat(message(identifier, data))
-        return self.profile.decode_feedback(message(identifier, data))
-
-
-def message(identifier: Identifier, data: bytes) -> can.Message:
-    number, extended = identifier
-    return can.Message(arbitration_id=number, is_extended_id=extended, data=data, check=True)
-
-
-def motion(*phases: tuple[float, float]) -> NDArray[np.float64]:
-    """Position and velocity from rest after phases of (duration in s, net effort), by the matrix exponential."""
-    state = np.zeros(3)
-    generator = np.array([[0.0, 1.0, 0.0], [0.0, -POLE, GAIN], [0.0, 0.0, 0.0]])
-    for duration_s, effort in phases:
-        state[2] = effort
-        state = expm(generator * duration_s) @ state
-    return state[:2]
 
 
 def test_it_boots_disabled_and_says_so(profile: DriveProfile) -> None:
     bench = Bench(profile, boot_counter=7, initial_position=12.5)
     feedback, heartbeat = bench.cycle(0.0)
-    assert feedback == Feedback(12.5, 1, False, False, 0, False)
+    assert feedback == Feedback(12.5, 1, *[False] * 3, *[False] * 5)
     assert isinstance(heartbeat, Heartbeat)
     assert heartbeat.boot_counter == 7
     assert profile.state_texts[heartbeat.state or 0] == "Ready to switch on"
@@ -189,7 +140,7 @@ def test_when_commands_cease_it_stops_by_itself_at_the_exact_time(profile: Drive
     bench.cycle(0.0703)
     assert (bench.drive.enabled, bench.drive.effort) == (True, 2.0)
     (feedback,) = bench.feedback(0.1)
-    assert feedback[2:] == (False, True, COMMAND_TIMEOUT_FAULT, True)
+    assert feedback[2:6] == (False, True, COMMAND_TIMEOUT_FAULT, True)
     assert profile.fault_texts[COMMAND_TIMEOUT_FAULT] == "Command timeout"
     expected = motion((0.0204, 1.0), (0.05, 2.0), (0.0296, 0.0))
     assert feedback.position == pytest.approx(expected[0], abs=0.0005)
@@ -409,13 +360,15 @@ def test_a_drive_without_enable_counter_checksum_and_heartbeat(tmp_path: Path) -
         'BO_ 32 Set: 2 Vector__XXX\n SG_ Effort : 0|16@1- (0.001,0) [-20|32] "" Vector__XXX\n\n'
         'BO_ 33 Get: 4 Vector__XXX\n SG_ Position : 0|32@1- (0.001,0) [0|0] "mm" Vector__XXX\n'
     )
-    roles = dict.fromkeys(["enabled", "fault", "fault_code", "command_timeout", "counter", "checksum"], False)
+    necessary = {"message", "position", "position_scale", "sampling"}
+    roles = dict.fromkeys(FeedbackSettings.model_fields.keys() - necessary, False)
     settings = ProtocolSettings.model_validate(
         {
             "dbc": "bare.dbc",
             "checksum": "none",
             "feedback": {"message": "Get", "position": "Position", **roles},
             "command": CommandSettings(message="Set", enable=False, counter=False, checksum=False).model_dump(),
+            "index": {"message": False},
             "heartbeat": {"message": False, "state": False, "boot_counter": False},
         }
     )

@@ -11,7 +11,7 @@ from functools import partial
 
 from cantools.database.can import Database, Message, Signal
 
-from twostage_servo.canbus.signal_codec import SignalCodec, count_codec, flag_codec, quantity_codec
+from twostage_servo.canbus.signal_codec import SignalCodec, count_codec, flag_codec, position_codec, quantity_codec
 
 
 class MessageCodec:
@@ -96,6 +96,10 @@ class MessageCodec:
             When there is no such signal, it is multiplexed or taken already, or :func:`quantity_codec` refuses it.
         """
         return self._take(name, partial(quantity_codec, factor=factor))
+
+    def position(self, name: str, factor: float = 1) -> SignalCodec:
+        """Take a signal that carries a position, see :func:`position_codec`; raises as :meth:`quantity` does."""
+        return self._take(name, partial(position_codec, factor=factor))
 
     def count(self, name: str) -> SignalCodec:
         """Take a signal that carries a plain count, see :func:`count_codec`; raises as :meth:`quantity` does."""

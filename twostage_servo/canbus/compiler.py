@@ -11,7 +11,14 @@ from cantools.database.can import Database
 from twostage_servo.canbus.checksum import CHECKSUMS
 from twostage_servo.canbus.codec import MessageCodec
 from twostage_servo.canbus.frame import Frame
-from twostage_servo.canbus.protocol import CommandSettings, FeedbackSettings, HeartbeatSettings, ProtocolSettings, Role
+from twostage_servo.canbus.protocol import (
+    CommandSettings,
+    FeedbackSettings,
+    HeartbeatSettings,
+    IndexSettings,
+    ProtocolSettings,
+    Role,
+)
 from twostage_servo.canbus.signal_codec import SignalCodec
 
 
@@ -43,6 +50,11 @@ class Compiler:
     folder
         Folder that a relative ``dbc`` starts from.
 
+    Attributes
+    ----------
+    sampling : str
+        When the drive samples its position, see :class:`FeedbackSettings`.
+
     Raises
     ------
     ProtocolError
@@ -50,20 +62,24 @@ class Compiler:
     """
 
     def __init__(self, settings: ProtocolSettings, folder: Path) -> None:
+        self.sampling = settings.feedback.sampling
         self._settings = settings
         self._database, self._source = _load(settings.dbc, folder)
-        named = [table for table in ("feedback", "command") if getattr(settings, table).checksum is not False]
+        tables = ("feedback", "command") if settings.index.message is False else ("feedback", "command", "index")
+        named = [table for table in tables if getattr(settings, table).checksum is not False]
         if settings.checksum == "none" and named:
+            no_index = " Without an index message, set index.message to false." if named[0] == "index" else ""
             raise ProtocolError(
                 ("protocol", named[0], "checksum"),
                 f"protocol.checksum is 'none', but {named[0]}.checksum names a signal. "
-                "Name the algorithm, or set it to false if the drive has no checksum.",
+                f"Name the algorithm, or set it to false if the drive has no checksum.{no_index}",
             )
         if settings.checksum != "none" and not named:
             raise ProtocolError(
                 ("protocol", "checksum"),
-                f"protocol.checksum is {settings.checksum!r}, but neither feedback.checksum nor command.checksum "
-                "names the signal that carries it. Name it, or set protocol.checksum to 'none'.",
+                f"protocol.checksum is {settings.checksum!r}, but neither "
+                f"{' nor '.join(f'{table}.checksum' for table in tables)} names the signal that carries it. "
+                "Name it, or set protocol.checksum to 'none'.",
             )
 
     def feedback(self, axis_unit: str) -> tuple[Frame, dict[str, SignalCodec]]:
@@ -71,8 +87,7 @@ class Compiler:
         table = self._settings.feedback
         frame = self._frame("feedback", table.message, table.checksum)
         layout = frame.layout
-        with _key("feedback", "position"):
-            position = layout.quantity(table.position, table.position_scale)
+        position = self._position("feedback", table.position, layout)
         if position.unit not in {"", axis_unit} and table.position_scale == 1.0:
             raise ProtocolError(
                 ("axis", "unit"),
@@ -80,7 +95,19 @@ class Compiler:
                 f"Set axis.unit to {position.unit!r}, or position_scale to the {axis_unit} in one {position.unit}.",
             )
         roles = _roles(
-            layout, "feedback", table, flag=("enabled", "fault", "command_timeout"), count=("fault_code", "counter")
+            layout,
+            "feedback",
+            table,
+            flag=(
+                "enabled",
+                "fault",
+                "command_timeout",
+                "safe_torque_off",
+                "positive_limit",
+                "negative_limit",
+                "home_switch",
+            ),
+            count=("fault_code", "counter"),
         )
         return frame, roles | {"position": position}
 
@@ -119,6 +146,28 @@ class Compiler:
             )
         return frame, roles | {"effort": effort}, constants
 
+    def index(self, feedback_position: SignalCodec) -> tuple[Frame | None, dict[str, SignalCodec]]:
+        """Compile the index message, if there is one; returns it with the codec of each role.
+
+        Both positions come from one counter of the encoder: unit and roll-over must be those of the feedback.
+        """
+        table = self._settings.index
+        if table.message is False:
+            return None, {"position": ABSENT, "counter": ABSENT}
+        frame = self._frame("index", table.message, table.checksum)
+        position = self._position("index", table.position, frame.layout)
+        units = (position.unit, feedback_position.unit)
+        periods = tuple(f"{codec.period:.15g}" for codec in (position, feedback_position))
+        for what, (ours, theirs) in (("unit", units if all(units) else ("", "")), ("roll-over", periods)):
+            if ours != theirs:
+                raise ProtocolError(
+                    ("protocol", "index", "position"),
+                    f"{self._source}, message {table.message}, signal {table.position}: its {what} is {ours}, that of "
+                    f"the feedback's position {theirs}. Name the latched position of the same encoder, or set "
+                    "index.message to false.",
+                )
+        return frame, _roles(frame.layout, "index", table, flag=(), count=("counter",)) | {"position": position}
+
     def heartbeat(self) -> tuple[Frame | None, dict[str, SignalCodec]]:
         """Compile the heartbeat message, if there is one; returns it with the codec of each role."""
         table = self._settings.heartbeat
@@ -126,6 +175,10 @@ class Compiler:
             return None, {"state": ABSENT, "boot_counter": ABSENT}
         frame = self._frame("heartbeat", table.message, False)
         return frame, _roles(frame.layout, "heartbeat", table, flag=(), count=("state", "boot_counter"))
+
+    def _position(self, table: str, name: str, layout: MessageCodec) -> SignalCodec:
+        with _key(table, "position"):
+            return layout.position(name, self._settings.feedback.position_scale)
 
     def _frame(self, table: str, message: str, checksum: Role) -> Frame:
         with _key(table, "message"):
@@ -157,7 +210,7 @@ def _key(*key: str) -> Iterator[None]:
 def _roles(
     layout: MessageCodec,
     table: str,
-    settings: FeedbackSettings | CommandSettings | HeartbeatSettings,
+    settings: FeedbackSettings | CommandSettings | IndexSettings | HeartbeatSettings,
     flag: tuple[str, ...],
     count: tuple[str, ...],
 ) -> dict[str, SignalCodec]:

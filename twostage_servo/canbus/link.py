@@ -1,31 +1,34 @@
 """One opened bus: a python-can interface that never waits, never keeps an old command and fails in one way only."""
 
 import asyncio
-import difflib
 import errno
 import logging
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
 
 import can
-from pydantic import Field, field_validator, model_validator
 
+from twostage_servo.canbus.bus_settings import BusSettings
 from twostage_servo.canbus.frame import Identifier
+from twostage_servo.canbus.frame_age import FrameAge, stamp_clock
 from twostage_servo.canbus.socketcand import SocketcandBus
-from twostage_servo.settings import Settings, quantity
+
+__all__ = ["BusSettings", "ControllerState", "Link", "LinkCounters", "LinkError"]
 
 _log = logging.getLogger(__name__)
 
-_OWN_ARGUMENTS: Final = frozenset(
-    {"interface", "channel", "bitrate", "can_filters", "ignore_config", "config_context", "receive_own_messages"}
-)
-_NO_BITRATE: Final = frozenset({"socketcan", "socketcand", "udp_multicast", "virtual"})
 _ERROR_CLASSES: Final = frozenset({"socketcan", "socketcand"})
 _FULL_ERRNOS: Final = frozenset({errno.ENOBUFS, errno.EAGAIN})
 # What socketcan and virtual say when a queue is full; they give no error code with it.
 _FULL_TEXTS: Final = frozenset({"Transmit buffer full", "Could not send message to one or more recipients"})
-_BUS_OFF: Final = 0x40  # CAN_ERR_BUSOFF of linux/can/error.h
+# Of linux/can/error.h: classes, which are bits of the identifier, and bits of byte 1 in the class of the controller.
+_CONTROLLER: Final = 0x04  # CAN_ERR_CRTL
+_BUS_OFF: Final = 0x40  # CAN_ERR_BUSOFF
+_RESTARTED: Final = 0x100  # CAN_ERR_RESTARTED
+_PASSIVE: Final = 0x30  # CAN_ERR_CRTL_RX_PASSIVE, CAN_ERR_CRTL_TX_PASSIVE
+_WARNING: Final = 0x0C  # CAN_ERR_CRTL_RX_WARNING, CAN_ERR_CRTL_TX_WARNING
+_ACTIVE: Final = 0x40  # CAN_ERR_CRTL_ACTIVE
 _NEXT_STEPS: Final = {
     "socketcan": "Look at the interface with 'ip -details link show {channel}'; set it up with "
     "'ip link set {channel} up type can bitrate ...'.",
@@ -35,63 +38,12 @@ _NEXT_STEPS: Final = {
 }
 
 
+ControllerState = Literal["active", "warning", "passive"]
+"""Fault confinement state of the CAN controller, ISO 11898-1; ``"warning"`` is an active one near its limit."""
+
+
 class LinkError(Exception):
     """The bus could not be opened, or is gone. The text is for the operator, the cause is chained."""
-
-
-class BusSettings(Settings):
-    """The bus and how it is opened."""
-
-    interface: str = Field(
-        description="Interface of python-can: socketcan, socketcand, udp_multicast, virtual, pcan, ..."
-    )
-    channel: str | int = Field(description="Channel of the interface, such as can0")
-    bitrate: int | None = quantity(
-        None,
-        unit="bit/s",
-        description="Bit rate, for interfaces that set it; for socketcan 'ip link' does",
-        gt=0,
-        le=1_000_000,
-    )
-    options: dict[str, bool | int | float | str] = Field(
-        default_factory=dict, description="Further arguments of the python-can interface, passed as they are"
-    )
-    max_frames_per_tick: int = quantity(
-        256,
-        unit="frames",
-        description="Most frames read in one tick; a classic bus at 1 Mbit/s carries 212 in 10 ms",
-        ge=1,
-        le=10_000,
-    )
-    reopen_interval_ms: float = quantity(
-        1000.0, unit="ms", description="Time between two attempts to open the bus", ge=10.0, le=60_000.0
-    )
-
-    @field_validator("interface")
-    @classmethod
-    def _is_known(cls, interface: str) -> str:
-        if interface not in can.VALID_INTERFACES:
-            near = difflib.get_close_matches(interface, can.VALID_INTERFACES, n=1)
-            guess = f"did you mean {near[0]}? " if near else ""
-            raise ValueError(
-                f"python-can has no such interface; {guess}It knows: {', '.join(sorted(can.VALID_INTERFACES))}"
-            )
-        return interface
-
-    @field_validator("options")
-    @classmethod
-    def _has_no_argument_of_ours(cls, options: dict[str, Any]) -> dict[str, Any]:
-        if clash := sorted(_OWN_ARGUMENTS & options.keys()):
-            raise ValueError(
-                f"{', '.join(clash)} cannot be set here; interface, channel and bitrate have keys of their own"
-            )
-        return options
-
-    @model_validator(mode="after")
-    def _bitrate_has_an_effect(self) -> "BusSettings":
-        if self.bitrate is not None and self.interface in _NO_BITRATE:
-            raise ValueError(f"bitrate has no effect on interface {self.interface!r}; remove it")
-        return self
 
 
 @dataclass(slots=True)
@@ -105,13 +57,15 @@ class LinkCounters:
     sent : int
         Frames handed over to the interface.
     rejected : int
-        Received frames that could not be used; counted by whoever decodes them.
+        Received frames that could not be used; counted by whoever decodes them, with :meth:`count_rejection`.
     dropped : int
         Frames not sent because the queue was full just then.
     errors : int
         Error frames: the controller reports trouble on the bus.
     overruns : int
         Drains that ended at their bound. One after another, they mean that frames pile up and are read late.
+    rejected_by_reason : dict of str to int
+        The rejected frames by :attr:`FrameRejected.reason`.
     """
 
     received: int = 0
@@ -120,6 +74,12 @@ class LinkCounters:
     dropped: int = 0
     errors: int = 0
     overruns: int = 0
+    rejected_by_reason: dict[str, int] = field(default_factory=dict)
+
+    def count_rejection(self, reason: str) -> None:
+        """Count a frame that could not be used."""
+        self.rejected += 1
+        self.rejected_by_reason[reason] = self.rejected_by_reason.get(reason, 0) + 1
 
 
 class Link:
@@ -134,6 +94,9 @@ class Link:
     accepted
         Identifiers to receive. Frames with the same number of the other kind (11 or 29 bits) come through as well, so
         that they can be rejected and counted.
+    opener
+        Makes the bus, in place of python-can's interface that the settings name; they go on naming it in texts, and
+        say what its error frames mean.
 
     Attributes
     ----------
@@ -141,11 +104,22 @@ class Link:
         As given.
     counters : LinkCounters
         What went over the link.
+    controller_state : {"active", "warning", "passive"}
+        What the controller's latest error frame says; "active" from each opening on. Stays so where the interface hands
+        on no error frames with their data: all but socketcan.
     """
 
-    def __init__(self, settings: BusSettings, accepted: Iterable[Identifier]) -> None:
+    def __init__(
+        self,
+        settings: BusSettings,
+        accepted: Iterable[Identifier],
+        opener: Callable[[], can.BusABC] | None = None,
+    ) -> None:
         self.settings = settings
         self.counters = LinkCounters()
+        self.controller_state: ControllerState = "active"
+        self._opener = opener or self._open_interface
+        self._age: FrameAge | None = None
         self._accepted = frozenset(identifier.identifier for identifier in accepted)
         self._bus: can.BusABC | None = None
 
@@ -164,30 +138,16 @@ class Link:
         """
         if self._bus is not None:
             return
-        settings = self.settings
-        options: dict[str, Any] = dict(settings.options)
-        if settings.bitrate is not None:
-            options["bitrate"] = settings.bitrate
-        if settings.interface == "udp_multicast":
-            options.setdefault("hop_limit", 0)  # python-can's 1 would let the frames leave the host
-        filters = [{"can_id": number, "can_mask": 0x1FFFFFFF} for number in sorted(self._accepted)]
         try:
-            if settings.interface == "socketcand":
-                bus: can.BusABC = SocketcandBus(str(settings.channel), can_filters=filters, **options)
-            else:
-                # Without ignore_config, a can.conf somewhere on the machine would add arguments.
-                bus = can.Bus(
-                    interface=settings.interface,
-                    channel=settings.channel,
-                    can_filters=filters,
-                    ignore_config=True,
-                    **options,
-                )
+            bus = self._opener()
             if type(bus)._apply_filters is can.BusABC._apply_filters:  # noqa: SLF001
                 # Filters in software: recv(0) would return None for each foreign frame and look empty. drain() filters.
                 bus.set_filters(None)
         except Exception as error:  # an interface may raise anything
             raise self._error("cannot be opened", error) from error
+        self.controller_state = "active"
+        clock = stamp_clock(bus, self.settings.interface)
+        self._age = FrameAge(*clock) if clock else None
         self._bus = bus
 
     async def open_in_thread(self) -> None:
@@ -236,7 +196,7 @@ class Link:
                     break
                 if message.is_error_frame:
                     counters.errors += 1
-                    self._refuse_bus_off(message)
+                    self._take_error_frame(message)
                 elif message.arbitration_id in self._accepted:
                     messages.append(message)
             else:
@@ -245,8 +205,21 @@ class Link:
             raise
         except Exception as error:  # an interface may raise anything
             raise self._error("failed while receiving", error) from error
+        if self._age is not None:
+            self._age.drained()
         counters.received += len(messages)
         return messages
+
+    def age_s(self, message: can.Message) -> float | None:
+        """Tell how old a message was when the latest :meth:`drain`, which returned it, ended.
+
+        Returns
+        -------
+        float or None
+            Time since its arrival, s. None where the interface's time stamps say nothing about that, or cannot be
+            believed: the wall clock, which stamps on SocketCAN, may have been set meanwhile.
+        """
+        return None if self._age is None else self._age.age_s(message.timestamp)
 
     def send(self, identifier: Identifier, data: bytes) -> bool:
         """Hand a frame over, without waiting.
@@ -282,12 +255,40 @@ class Link:
             raise LinkError(f"{self._name} is not open. Open it first.")
         return self._bus
 
-    def _refuse_bus_off(self, message: can.Message) -> None:
-        if self.settings.interface in _ERROR_CLASSES and message.arbitration_id & _BUS_OFF:
+    def _open_interface(self) -> can.BusABC:
+        settings = self.settings
+        options: dict[str, Any] = dict(settings.options)
+        if settings.bitrate is not None:
+            options["bitrate"] = settings.bitrate
+        if settings.interface == "udp_multicast":
+            options.setdefault("hop_limit", 0)  # python-can's 1 would let the frames leave the host
+        filters = [{"can_id": number, "can_mask": 0x1FFFFFFF} for number in sorted(self._accepted)]
+        if settings.interface == "socketcand":
+            return SocketcandBus(str(settings.channel), can_filters=filters, **options)
+        # Without ignore_config, a can.conf somewhere on the machine would add arguments.
+        return can.Bus(
+            interface=settings.interface, channel=settings.channel, can_filters=filters, ignore_config=True, **options
+        )
+
+    def _take_error_frame(self, message: can.Message) -> None:
+        if self.settings.interface not in _ERROR_CLASSES:
+            return
+        classes = message.arbitration_id
+        if classes & _BUS_OFF:
             raise LinkError(
                 f"{self._name} went bus-off: too many transmit errors. Check cable, termination and bit rate, "
                 "then reset the axis."
             )
+        if classes & _RESTARTED:
+            self.controller_state = "active"
+        if classes & _CONTROLLER and len(message.data) > 1:
+            status = message.data[1]
+            if status & _PASSIVE:
+                self.controller_state = "passive"
+            elif status & _WARNING:
+                self.controller_state = "warning"
+            elif status & _ACTIVE:
+                self.controller_state = "active"
 
     @property
     def _name(self) -> str:

@@ -8,7 +8,13 @@ import can
 
 from twostage_servo.canbus.compiler import Compiler, ProtocolError
 from twostage_servo.canbus.frame import FrameRejected, Identifier
-from twostage_servo.canbus.protocol import CommandSettings, FeedbackSettings, HeartbeatSettings, ProtocolSettings
+from twostage_servo.canbus.protocol import (
+    CommandSettings,
+    FeedbackSettings,
+    HeartbeatSettings,
+    IndexSettings,
+    ProtocolSettings,
+)
 from twostage_servo.canbus.signal_codec import UndecodableValue
 
 __all__ = [
@@ -21,6 +27,8 @@ __all__ = [
     "Heartbeat",
     "HeartbeatSettings",
     "Identifier",
+    "Index",
+    "IndexSettings",
     "ProtocolError",
     "ProtocolSettings",
 ]
@@ -35,6 +43,10 @@ class Feedback(NamedTuple):
     fault: bool | None
     fault_code: int | None
     command_timeout: bool | None = None
+    safe_torque_off: bool | None = None
+    positive_limit: bool | None = None
+    negative_limit: bool | None = None
+    home_switch: bool | None = None
 
 
 class Command(NamedTuple):
@@ -42,6 +54,13 @@ class Command(NamedTuple):
 
     effort: float
     enable: bool | None
+    counter: int | None
+
+
+class Index(NamedTuple):
+    """Position, in axis units, that the encoder latched at its index mark; no counter where the drive has none."""
+
+    position: float
     counter: int | None
 
 
@@ -56,14 +75,15 @@ class DriveProfile:
     """A compiled protocol: frames to tuples and back, in one or two microseconds. Make one with :meth:`compile`.
 
     Every ``decode_`` method raises :class:`FrameRejected` and nothing else, whatever the frame. Values beyond what a
-    signal can carry are saturated by the ``encode_`` methods, counters are reduced by their modulus.
+    signal can carry are saturated by the ``encode_`` methods, counters are reduced by their modulus. A position rolls
+    over where its signal has all raw values of its bits, save one that is reserved for "position invalid".
 
     Attributes
     ----------
     feedback_id, command_id : Identifier
         Identifiers of the two messages.
-    heartbeat_id : Identifier or None
-        Identifier of the heartbeat; None when the drive has none.
+    index_id, heartbeat_id : Identifier or None
+        Identifiers of the index message and of the heartbeat; None when the drive has none.
     controller_identifiers, drive_identifiers : tuple of Identifier
         What the controller listens to; what the drive listens to.
     effort_quantum : float
@@ -74,8 +94,17 @@ class DriveProfile:
         Largest magnitude of the effort that the signal carries in both directions.
     position_quantum : float
         Step of the position, axis units; 0 for an IEEE float.
-    counter_modulus, command_counter_modulus : int
-        Number of values of the alive counter of feedback and of command; 1 when there is none.
+    position_period : float
+        Width of the raw range of the position, of feedback and index alike, axis units: after that much it comes round
+        to the same raw value. 0 for a position that does not roll over: an IEEE float, or a signal that its DBC limits
+        to less than the range of its bits.
+    sampling : str
+        ``"on_command"`` when a feedback was sampled as the drive took the command that it answers, ``"cyclic"`` when
+        the drive samples at a rhythm of its own.
+    counter_modulus, command_counter_modulus, index_counter_modulus : int
+        Number of values of the alive counter of feedback, command and index; 1 when there is none.
+    boot_counter_modulus : int
+        Number of values of the boot counter; 1 when there is none.
     fault_texts, state_texts : mapping of int to str
         Value tables of fault code and state; empty where the DBC has none.
     """
@@ -83,18 +112,21 @@ class DriveProfile:
     def __init__(self, compiler: Compiler, axis_unit: str) -> None:
         self._feedback, feedback = compiler.feedback(axis_unit)
         self._command, command, self._constants = compiler.command()
+        self._index, index = compiler.index(feedback["position"])
         self._heartbeat, heartbeat = compiler.heartbeat()
-        identifiers = [frame.identifier for frame in (self._feedback, self._command, self._heartbeat) if frame]
+        frames = (self._feedback, self._command, self._index, self._heartbeat)
+        identifiers = [frame.identifier for frame in frames if frame]
         if len(set(identifiers)) < len(identifiers):
             raise ProtocolError(
                 ("protocol",),
-                "feedback, command and heartbeat must be different messages, but have the identifiers "
-                f"{', '.join(map(str, identifiers))}. Name three messages.",
+                "feedback, command, index and heartbeat must be different messages, but have the identifiers "
+                f"{', '.join(map(str, identifiers))}. Name a message for each.",
             )
         self.feedback_id = self._feedback.identifier
         self.command_id = self._command.identifier
+        self.index_id = self._index.identifier if self._index else None
         self.heartbeat_id = self._heartbeat.identifier if self._heartbeat else None
-        self.controller_identifiers = tuple(one for one in (self.feedback_id, self.heartbeat_id) if one)
+        self.controller_identifiers = tuple(one for one in (self.feedback_id, self.index_id, self.heartbeat_id) if one)
         self.drive_identifiers = (self.command_id,)
 
         effort, position = command["effort"], feedback["position"]
@@ -102,8 +134,12 @@ class DriveProfile:
         self.effort_unit = effort.unit
         self.effort_limit = min(effort.maximum, -effort.minimum)
         self.position_quantum = position.quantum
+        self.position_period = position.period
+        self.sampling = compiler.sampling
         self.counter_modulus = int(feedback["counter"].maximum) + 1
         self.command_counter_modulus = int(command["counter"].maximum) + 1
+        self.index_counter_modulus = int(index["counter"].maximum) + 1
+        self.boot_counter_modulus = int(heartbeat["boot_counter"].maximum) + 1
         self.fault_texts = feedback["fault_code"].choices
         self.state_texts = heartbeat["state"].choices
 
@@ -112,6 +148,8 @@ class DriveProfile:
         self._feedback_encoders = tuple(feedback[role].encode for role in Feedback._fields)
         self._command_decoders = tuple(command[role].decode for role in Command._fields)
         self._command_encoders = tuple(command[role].encode for role in Command._fields)
+        self._index_decoders = tuple(index[role].decode for role in Index._fields)
+        self._index_encoders = tuple(index[role].encode for role in Index._fields)
         self._heartbeat_decoders = tuple(heartbeat[role].decode for role in Heartbeat._fields)
         self._heartbeat_encoders = tuple(heartbeat[role].encode for role in Heartbeat._fields)
 
@@ -144,6 +182,10 @@ class DriveProfile:
         """Whether the frame has the number of the feedback; :meth:`decode_feedback` judges the rest."""
         return message.arbitration_id == self.feedback_id.identifier
 
+    def is_index(self, message: can.Message) -> bool:
+        """Whether the frame has the number of the index message; :meth:`decode_index` judges the rest."""
+        return self.index_id is not None and message.arbitration_id == self.index_id.identifier
+
     def is_heartbeat(self, message: can.Message) -> bool:
         """Whether the frame has the number of the heartbeat; :meth:`decode_heartbeat` judges the rest."""
         return self.heartbeat_id is not None and message.arbitration_id == self.heartbeat_id.identifier
@@ -173,12 +215,12 @@ class DriveProfile:
             raise FrameRejected(error.reason, message, str(error)) from error
 
     def encode_feedback(self, feedback: Feedback) -> bytes:
-        """Make the data of a feedback, as the drive does. None counts as 0.
+        """Make the data of a feedback, as the drive does. None counts as 0, NaN as an invalid position.
 
         Raises
         ------
         ValueError
-            When the position is not finite.
+            When the position is not finite, and its signal has no raw value for an invalid one.
         """
         if feedback.counter is not None:
             feedback = feedback._replace(counter=feedback.counter % self.counter_modulus)
@@ -187,11 +229,46 @@ class DriveProfile:
     def decode_feedback(self, message: can.Message) -> Feedback:
         """Read a feedback."""
         word = self._feedback.word(message)
-        position, counter, enabled, fault, fault_code, command_timeout = self._feedback_decoders
+        position, counter, enabled, fault, fault_code, timeout, torque_off, positive, negative, home = (
+            self._feedback_decoders
+        )
         try:
             return Feedback(
-                position(word), counter(word), enabled(word), fault(word), fault_code(word), command_timeout(word)
+                position(word),
+                counter(word),
+                enabled(word),
+                fault(word),
+                fault_code(word),
+                timeout(word),
+                torque_off(word),
+                positive(word),
+                negative(word),
+                home(word),
             )
+        except UndecodableValue as error:
+            raise FrameRejected(error.reason, message, str(error)) from error
+
+    def encode_index(self, index: Index) -> bytes:
+        """Make the data of an index message, as the drive does. None counts as 0, NaN as an invalid position.
+
+        Raises
+        ------
+        ValueError
+            When the drive has no index message, or as in :meth:`encode_feedback`.
+        """
+        if self._index is None:
+            raise ValueError("this drive has no index message: protocol.index.message is false")
+        if index.counter is not None:
+            index = index._replace(counter=index.counter % self.index_counter_modulus)
+        return self._index.data(_encode(self._index_encoders, index))
+
+    def decode_index(self, message: can.Message) -> Index:
+        """Read an index message."""
+        if self._index is None:
+            raise FrameRejected("identifier", message, "this drive has no index message")
+        word = self._index.word(message)
+        try:
+            return Index._make([decode(word) for decode in self._index_decoders])
         except UndecodableValue as error:
             raise FrameRejected(error.reason, message, str(error)) from error
 
@@ -205,6 +282,8 @@ class DriveProfile:
         """
         if self._heartbeat is None:
             raise ValueError("this drive has no heartbeat: protocol.heartbeat.message is false")
+        if heartbeat.boot_counter is not None:
+            heartbeat = heartbeat._replace(boot_counter=heartbeat.boot_counter % self.boot_counter_modulus)
         return self._heartbeat.data(_encode(self._heartbeat_encoders, heartbeat))
 
     def decode_heartbeat(self, message: can.Message) -> Heartbeat:

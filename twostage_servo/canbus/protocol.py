@@ -26,8 +26,23 @@ class FeedbackSettings(Settings):
     command_timeout: Role = Field(
         "CommandTimeout", description="Signal that is 1 after the drive stopped because commands ceased; false: none"
     )
+    safe_torque_off: Role = Field(
+        "SafeTorqueOff", description="Signal that is 1 while safe torque off is active; false: none"
+    )
+    positive_limit: Role = Field(
+        "PositiveLimit", description="Signal of the limit switch at the end of larger axis positions; false: none"
+    )
+    negative_limit: Role = Field(
+        "NegativeLimit", description="Signal of the limit switch at the end of smaller axis positions; false: none"
+    )
+    home_switch: Role = Field("HomeSwitch", description="Signal that is 1 while the home switch is active; false: none")
     counter: Role = Field("AliveCounter", description="Signal that counts the feedback frames; false: none")
     checksum: Role = Field("Checksum", description="Signal with the checksum byte; false: none")
+    sampling: Literal["on_command", "cyclic"] = Field(
+        "on_command",
+        description="When the drive samples: as it takes the command that it answers, or at a rhythm of its own, so "
+        "that the time of arrival dates the sample",
+    )
 
     @field_validator("position_scale")
     @classmethod
@@ -50,6 +65,17 @@ class CommandSettings(Settings):
     )
 
 
+class IndexSettings(Settings):
+    """Message that brings the position which the encoder latched at its index mark, for homing."""
+
+    message: Role = Field("DriveIndex", description="Message sent as the encoder passes its index mark; false: none")
+    position: str = Field(
+        "Position", description="Signal with the position latched at the mark; feedback.position_scale applies"
+    )
+    counter: Role = Field("AliveCounter", description="Signal that counts the index frames; false: none")
+    checksum: Role = Field("Checksum", description="Signal with the checksum byte; false: none")
+
+
 class HeartbeatSettings(Settings):
     """Message that says which state the drive is in and whether it rebooted."""
 
@@ -69,4 +95,5 @@ class ProtocolSettings(Settings):
     )
     feedback: FeedbackSettings = Field(FeedbackSettings(), description="Message that brings position and status")
     command: CommandSettings = Field(CommandSettings(), description="Message that takes the effort to the drive")
+    index: IndexSettings = Field(IndexSettings(), description="Message that brings the latched index position")
     heartbeat: HeartbeatSettings = Field(HeartbeatSettings(), description="Message that says the drive's state")

@@ -45,11 +45,13 @@ class SignalCodec:
         Ends of the range that is sent and accepted: what the bits hold, within the limits of the DBC.
     choices : mapping of int to str
         The value table, raw value to text; empty when there is none.
+    period : float
+        Width of the raw range, in physical units, of a position that rolls over; 0 for every other signal.
     decode : callable
         ``decode(word) -> value``; raises :class:`UndecodableValue`.
     encode : callable
         ``encode(value) -> bits at their place in the word``. Rounds to the nearest step, saturates at ``minimum`` and
-        ``maximum``, raises ValueError when the value is not finite.
+        ``maximum``, raises ValueError when the value is not finite. A position differs, see :func:`position_codec`.
     """
 
     name: str
@@ -60,6 +62,7 @@ class SignalCodec:
     choices: Mapping[int, str]
     decode: Callable[[int], Any]
     encode: Callable[[float], int]
+    period: float = 0.0
 
 
 def quantity_codec(signal: Signal, shift: int, where: str, factor: float = 1) -> SignalCodec:
@@ -102,6 +105,40 @@ def quantity_codec(signal: Signal, shift: int, where: str, factor: float = 1) ->
     quantum = 0.0 if signal.is_float else abs(float(scale))
     choices = {int(raw): str(text) for raw, text in (signal.choices or {}).items()}
     return SignalCodec(signal.name, signal.unit or "", quantum, min(ends), max(ends), choices, decode, encode)
+
+
+def position_codec(signal: Signal, shift: int, where: str, factor: float = 1) -> SignalCodec:
+    """Compile a signal that carries a position: like :func:`quantity_codec`, but it rolls over as an encoder does.
+
+    An integer rolls over when the limits of the DBC leave out no more than one of its raw values: an excluded one, at
+    either end, is reserved for "position invalid". A position that falls on it is sent as its neighbour. With narrower
+    limits there is no roll-over: the position saturates.
+
+    NaN and infinity are sent as the reserved raw value, by an IEEE float as NaN; a signal that holds neither raises
+    ValueError. Parameters, return value and errors are those of :func:`quantity_codec`.
+    """
+    codec = quantity_codec(signal, shift, where, factor)
+    if signal.is_float:
+        form = _FLOAT_FORMATS[signal.length]
+        invalid: int | None = int.from_bytes(struct.pack(form, math.nan), "little") << shift
+        return replace(codec, encode=_or_invalid(codec.encode, invalid, where))
+    lowest, highest = _raw_range(signal, where)
+    modulus = 1 << signal.length
+    first = -(modulus >> 1) if signal.is_signed else 0
+    last = first + modulus - 1
+    excluded = first if lowest > first else last if highest < last else None
+    invalid = None if excluded is None else (excluded & modulus - 1) << shift
+    if highest - lowest < modulus - 2:
+        return replace(codec, encode=_or_invalid(codec.encode, invalid, where))
+    scale, offset = _exact(signal.scale) * factor, _exact(signal.offset) * factor
+    bottom, top = int(lowest), int(highest)
+
+    def encode(value: float) -> int:
+        raw = max(-_LARGEST_FLOATS[64], min(_LARGEST_FLOATS[64], (value - offset) / scale))
+        rolled_over = (round(raw) - first) % modulus + first
+        return (max(bottom, min(top, rolled_over)) & modulus - 1) << shift
+
+    return replace(codec, encode=_or_invalid(encode, invalid, where), period=modulus * codec.quantum)
 
 
 def count_codec(signal: Signal, shift: int, where: str) -> SignalCodec:
@@ -148,6 +185,9 @@ def flag_codec(signal: Signal, shift: int, where: str) -> SignalCodec:
     bit, other_bits = 1 << shift, (1 << signal.length) - 2 << shift
 
     def decode(word: int) -> bool:
+        return word & bit != 0
+
+    def decode_several_bits(word: int) -> bool:
         if word & other_bits:
             raise UndecodableValue("reserved_value", f"{where}: is neither 0 nor 1")
         return word & bit != 0
@@ -155,7 +195,7 @@ def flag_codec(signal: Signal, shift: int, where: str) -> SignalCodec:
     def encode(value: float) -> int:
         return bit if value else 0
 
-    return replace(codec, maximum=1.0, decode=decode, encode=encode)
+    return replace(codec, maximum=1.0, decode=decode_several_bits if other_bits else decode, encode=encode)
 
 
 def _exact(number: float) -> float:
@@ -190,6 +230,19 @@ def _raw_range(signal: Signal, where: str) -> tuple[float, float]:
             "Correct the DBC."
         )
     return lowest, highest
+
+
+def _or_invalid(encode: Callable[[float], int], invalid: int | None, where: str) -> Callable[[float], int]:
+    """Encode what is not finite as ``invalid``."""
+
+    def encode_any(value: float) -> int:
+        if math.isfinite(value):
+            return encode(value)
+        if invalid is None:
+            raise ValueError(f"{where}: cannot send {value}, it has no raw value for an invalid position")
+        return invalid
+
+    return encode_any
 
 
 def _nearest_float(form: str, limit: Fraction, largest: float) -> float:

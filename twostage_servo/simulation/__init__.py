@@ -1,1 +1,1 @@
-"""The simulated drive (plant, encoder, firmware, CAN node) and the virtual clock."""
+"""The simulated drive (plant, encoder, firmware, CAN node), the simulated bus and the virtual clock."""

@@ -1,15 +1,20 @@
 """The simulated drive: plant, encoder, firmware. Pure: it is told the time and given frames, and gives frames back."""
 
 from collections import deque
-from dataclasses import dataclass
-from math import floor, inf
+from dataclasses import replace
+from math import inf, isfinite
 from random import Random
+from typing import Any
 
 import can
 
-from twostage_servo.canbus.profile import DriveProfile, Feedback, FrameRejected, Heartbeat, Identifier
-from twostage_servo.simulation.plant import TruePlant
+from twostage_servo.canbus.profile import DriveProfile, Feedback, FrameRejected, Heartbeat, Identifier, Index
+from twostage_servo.simulation.drive_counters import DriveCounters
+from twostage_servo.simulation.encoder import Encoder
+from twostage_servo.simulation.faults import DriveFaults
+from twostage_servo.simulation.firmware_timer import FirmwareTimer
 from twostage_servo.simulation.settings import SimulationSettings
+from twostage_servo.simulation.true_axis import TrueAxis
 
 # Codes of the shipped DBC's value tables.
 NO_FAULT = 0
@@ -17,33 +22,7 @@ COMMAND_TIMEOUT_FAULT = 1
 READY_TO_SWITCH_ON = 1
 OPERATION_ENABLED = 3
 FAULT = 4
-
-# A cycle that comes early by a rounding is not early.
-_ROUNDING_S = 1e-9
-
-
-@dataclass(slots=True)
-class DriveCounters:
-    """What the drive has seen since it started.
-
-    Attributes
-    ----------
-    accepted, rejected, stale : int
-        Commands taken; malformed, out of range or with a wrong checksum; with the alive counter of the command before.
-    lost : int
-        Frames that the fault injection took away, in either direction.
-    samples : int
-        Positions sampled for feedback, whether the frame then got lost or not.
-    command_timeouts : int
-        Times the drive disabled itself because commands ceased.
-    """
-
-    accepted: int = 0
-    rejected: int = 0
-    stale: int = 0
-    lost: int = 0
-    samples: int = 0
-    command_timeouts: int = 0
+SWITCH_ON_DISABLED = 7
 
 
 class SimulatedDrive:
@@ -52,7 +31,7 @@ class SimulatedDrive:
     It starts disabled, and only a rising edge of Enable (a command without it, then one with it) enables it: after the
     start as after a command time-out. So neither a rebooted drive nor a controller that stalled and resumes moves the
     axis without somebody's fresh wish. A command without Enable acts at once, whatever the transport delay, and clears
-    the fault.
+    the fault, if its cause is gone.
 
     Between two events (an effort that arrives, the load that sets in, a time-out) the plant is advanced exactly, and
     only when its state is asked for.
@@ -81,40 +60,44 @@ class SimulatedDrive:
         self._settings = settings
         self._profile = profile
         self._heartbeat_id = profile.heartbeat_id
+        self._index_id = None if settings.index_at is None else profile.index_id
         self._boot_counter = boot_counter
-        self._plant = TruePlant(settings.gain, settings.pole, settings.coulomb_friction, settings.initial_position)
-        self._noise = Random(settings.seed)  # noqa: S311 - measurement noise, not a secret
-        self._losses = Random(f"frame loss {settings.seed}")  # noqa: S311 - likewise; its own sequence
+        self._axis = TrueAxis(settings, start_s)
+        self._encoder = Encoder(settings)
+        self._losses = Random(f"frame loss {settings.seed}")  # noqa: S311 - chance, not a secret; its own sequence
         self._delay_s = settings.delay_ms / 1e3
         self._command_timeout_s = settings.command_timeout_ms / 1e3
 
+        self._faults = DriveFaults()
+        self._stuck_effort: float | None = None  # what is applied whatever is commanded
+
         self._now_s = start_s  # time of the last call
-        self._plant_s = start_s  # time up to which the plant has been advanced
-        self._load = 0.0
-        self._load_due_s = start_s + settings.load_at_s
-        self._effort = 0.0
+        self._booted_s = inf  # when the drive will have booted; infinity when it has
+        self._commanded_effort = 0.0
+        self._effort = 0.0  # what of it acts
         self._arriving: deque[tuple[float, float]] = deque()  # (time at which it acts, effort)
         self._enabled = False
-        self._may_enable = False  # a command without Enable has been seen since the start or the time-out
+        self._may_enable = False  # a command without Enable has been seen since the drive last had to stop
         self._fault_code = NO_FAULT
         self._command_counter: int | None = None
         self._commanded_s = -inf
         self._feedback_counter = 0
+        self._index_counter = 0
         self._feedback_asked = False
-        self._feedback_timer = _FirmwareTimer(start_s, settings.feedback_period_ms / 1e3)
-        self._heartbeat_timer = _FirmwareTimer(start_s, settings.heartbeat_ms / 1e3)
+        self._feedback_timer = FirmwareTimer(start_s, settings.feedback_period_ms / 1e3)
+        self._heartbeat_timer = FirmwareTimer(start_s, settings.heartbeat_ms / 1e3)
 
     @property
     def position(self) -> float:
         """True position at the time of the last call, axis unit."""
         self._advance()
-        return self._plant.position
+        return self._axis.position
 
     @property
     def velocity(self) -> float:
         """True velocity at the time of the last call, axis unit/s."""
         self._advance()
-        return self._plant.velocity
+        return self._axis.velocity
 
     @property
     def effort(self) -> float:
@@ -134,6 +117,75 @@ class SimulatedDrive:
         self._advance()
         return self._fault_code
 
+    @property
+    def faults(self) -> DriveFaults:
+        """What is wrong with it at the time of the last call; :meth:`change` changes it."""
+        return self._faults
+
+    def change(self, now_s: float, **faults: Any) -> None:
+        """Let some faults come or go at a time; the others stay.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time, s.
+        **faults
+            Fields of :class:`DriveFaults`.
+
+        Raises
+        ------
+        TypeError
+            If there is no such fault.
+        ValueError
+            If a value makes no sense. No fault has then changed.
+        """
+        changed = replace(self._faults, **faults)
+        self._now_s = now_s
+        self._advance()
+        self._axis.change(changed)
+        if not changed.ignores_effort:
+            self._stuck_effort = None
+        elif not self._faults.ignores_effort:
+            self._stuck_effort = self._commanded_effort
+        before, self._faults = self._faults, changed
+        self._effort = self._limited(self._commanded_effort)
+        is_new_fault = changed.fault_code not in {NO_FAULT, before.fault_code}
+        if is_new_fault:
+            self._fault_code = changed.fault_code
+        if is_new_fault or (changed.safe_torque_off and not before.safe_torque_off):
+            self._disable()
+            self._may_enable = False
+
+    def reboot(self, now_s: float, boot_s: float) -> None:
+        """Boot anew, as after a loss of its supply: disabled at once, and deaf and dumb until it has booted.
+
+        The axis meanwhile coasts. The encoder, an incremental one, then counts from 0 where the axis is at that time.
+
+        Parameters
+        ----------
+        now_s : float
+            Present time, s.
+        boot_s : float
+            How long it takes to boot, s; not negative.
+
+        Raises
+        ------
+        ValueError
+            If `boot_s` is negative or not finite.
+        """
+        if not (isfinite(boot_s) and boot_s >= 0.0):
+            raise ValueError(f"a drive cannot boot in {boot_s} s: give a time that is finite and not negative")
+        self._now_s = now_s
+        self._advance()
+        self._disable()
+        self._may_enable = False
+        self._fault_code = self._faults.fault_code
+        self._command_counter = None
+        self._feedback_counter = self._index_counter = 0
+        self._feedback_asked = False
+        self._boot_counter += 1
+        self._booted_s = now_s + boot_s
+
     def receive(self, message: can.Message, now_s: float) -> None:
         """Take a frame from the bus; the answer, if there is one, comes from the next :meth:`cycle`.
 
@@ -141,6 +193,9 @@ class SimulatedDrive:
         as it was; in particular it does not put off the command time-out.
         """
         self._now_s = now_s
+        if self._booted_s != inf and self._is_booting():
+            self.counters.lost += 1
+            return
         if self._is_lost():
             return
         try:
@@ -158,9 +213,11 @@ class SimulatedDrive:
         self._feedback_asked = self._settings.feedback == "on_command"
         if not command.enable:  # also None: a drive without Enable has no edge to wait for
             self._may_enable = True
-            self._fault_code = NO_FAULT
+            self._fault_code = self._faults.fault_code
         if command.enable is False:
             self._disable()
+        elif self._fault_code != NO_FAULT or self._faults.safe_torque_off:
+            self._may_enable = False  # the edge came too early
         elif self._may_enable:
             self._enabled = True
             self._arriving.append((now_s + self._delay_s, command.effort))
@@ -175,6 +232,12 @@ class SimulatedDrive:
         """
         self._now_s = now_s
         frames: list[tuple[Identifier, bytes]] = []
+        if self._booted_s != inf and self._is_booting():
+            return frames
+        if self._index_id is not None:
+            self._advance()
+            if (mark := self._axis.take_passed_mark()) is not None:
+                frames.append((self._index_id, self._index(mark)))
         if self._feedback_asked or now_s >= self._feedback_timer.due_s:
             if self._feedback_asked:
                 # Silence is noticed a little after the period, so that a command which is due just now can come first.
@@ -187,35 +250,48 @@ class SimulatedDrive:
             frames.append((self._profile.feedback_id, self._feedback()))
         if self._heartbeat_id is not None and now_s >= self._heartbeat_timer.due_s:
             self._heartbeat_timer.restart_period(now_s)
-            frames.append((self._heartbeat_id, self._heartbeat()))
+            if not self._faults.heartbeat_silent:
+                frames.append((self._heartbeat_id, self._heartbeat()))
         return [frame for frame in frames if not self._is_lost()]
 
     def _feedback(self) -> bytes:
         self._advance()
         self.counters.samples += 1
-        self._feedback_counter = (self._feedback_counter + 1) % self._profile.counter_modulus
-        measured = self._plant.position + self._noise.gauss(0.0, self._settings.noise_std)
-        quantum = self._settings.quantum
-        if quantum:
-            measured = round(measured / quantum) * quantum
-        code = self._fault_code
+        axis, faults, code = self._axis, self._faults, self._fault_code
+        if not faults.frozen_counter:
+            self._feedback_counter = (self._feedback_counter + 1) % self._profile.counter_modulus
         return self._profile.encode_feedback(
             Feedback(
-                position=measured,
+                position=self._encoder.sample(axis.position, faults.measure),
                 counter=self._feedback_counter,
                 enabled=self._enabled,
                 fault=code != NO_FAULT,
                 fault_code=code,
                 command_timeout=code == COMMAND_TIMEOUT_FAULT,
+                safe_torque_off=faults.safe_torque_off,
+                positive_limit=axis.positive_limit,
+                negative_limit=axis.negative_limit,
+                home_switch=axis.home_switch,
             )
         )
 
+    def _index(self, mark: float) -> bytes:
+        self._index_counter = (self._index_counter + 1) % self._profile.index_counter_modulus
+        return self._profile.encode_index(Index(self._encoder.latch(mark, self._faults.measure), self._index_counter))
+
     def _heartbeat(self) -> bytes:
         self._advance()
-        idle = READY_TO_SWITCH_ON if self._fault_code == NO_FAULT else FAULT
-        return self._profile.encode_heartbeat(
-            Heartbeat(OPERATION_ENABLED if self._enabled else idle, self._boot_counter)
-        )
+        if self._enabled:
+            state = OPERATION_ENABLED
+        elif self._fault_code != NO_FAULT:
+            state = FAULT
+        else:
+            state = SWITCH_ON_DISABLED if self._faults.safe_torque_off else READY_TO_SWITCH_ON
+        return self._profile.encode_heartbeat(Heartbeat(state, self._boot_counter))
+
+    def _is_booting(self) -> bool:
+        self._advance()
+        return self._booted_s != inf
 
     def _is_lost(self) -> bool:
         if self._losses.random() < self._settings.frame_loss:
@@ -224,50 +300,39 @@ class SimulatedDrive:
         return False
 
     def _advance(self) -> None:
-        """Bring plant and firmware to the time of the last call, from event to event."""
+        """Bring axis and firmware to the time of the last call, from event to event."""
         while True:
             timeout_s = self._commanded_s + self._command_timeout_s if self._enabled else inf
             arrival_s = self._arriving[0][0] if self._arriving else inf
-            event_s = min(timeout_s, arrival_s, self._load_due_s)
+            event_s = min(timeout_s, arrival_s, self._booted_s)
             if event_s > self._now_s:
                 break
-            self._advance_plant(event_s)
+            self._axis.advance(event_s, self._effort)
             if event_s == timeout_s:
                 self._disable()
                 self._may_enable = False
                 self._fault_code = COMMAND_TIMEOUT_FAULT
                 self.counters.command_timeouts += 1
             elif event_s == arrival_s:
-                self._effort = self._arriving.popleft()[1]
+                arrived = self._arriving.popleft()[1]
+                self._commanded_effort = arrived if self._stuck_effort is None else self._stuck_effort
+                self._effort = self._limited(self._commanded_effort)
             else:
-                self._load = self._settings.load
-                self._load_due_s = inf
-        self._advance_plant(self._now_s)
+                self._begin_to_run(event_s)
+        self._axis.advance(self._now_s, self._effort)
 
-    def _advance_plant(self, until_s: float) -> None:
-        if until_s != self._plant_s:
-            self._plant.advance(until_s - self._plant_s, self._effort - self._load)
-            self._plant_s = until_s
+    def _begin_to_run(self, booted_s: float) -> None:
+        self._booted_s = inf
+        self._encoder.restart(self._axis.position)
+        self._axis.take_passed_mark()  # nobody was there to see it
+        self._feedback_timer.restart(booted_s)
+        self._heartbeat_timer.restart(booted_s)
+
+    def _limited(self, effort: float) -> float:
+        limit = self._faults.effort_limit
+        return effort if limit is None else max(-limit, min(limit, effort))
 
     def _disable(self) -> None:
         self._enabled = False
-        self._effort = 0.0
+        self._commanded_effort = self._effort = 0.0
         self._arriving.clear()
-
-
-class _FirmwareTimer:
-    """Due at ``anchor + n * period``; what a late cycle missed is skipped."""
-
-    __slots__ = ("_anchor_s", "_period_s", "due_s")
-
-    def __init__(self, anchor_s: float, period_s: float) -> None:
-        self._period_s = period_s
-        self.restart(anchor_s)
-
-    def restart(self, anchor_s: float) -> None:
-        self._anchor_s = anchor_s
-        self.due_s = anchor_s - _ROUNDING_S
-
-    def restart_period(self, now_s: float) -> None:
-        periods = floor((now_s - self._anchor_s + _ROUNDING_S) / self._period_s) + 1
-        self.due_s = self._anchor_s + periods * self._period_s - _ROUNDING_S

@@ -1,6 +1,6 @@
-"""The true plant: second order with Coulomb friction, solved exactly for effort that is constant between calls."""
+"""The true plant: second order, friction and hard stops, solved exactly for effort that is constant between calls."""
 
-from math import copysign, expm1, isfinite, log1p
+from math import copysign, expm1, inf, isfinite, log1p
 
 
 class TruePlant:
@@ -10,7 +10,8 @@ class TruePlant:
 
         velocity' = -pole velocity + gain (effort - coulomb_friction s)
 
-    At rest it stays there while ``|effort| <= coulomb_friction``.
+    At rest it stays there while ``|effort| <= coulomb_friction``. A hard stop is rigid and takes all the energy: the
+    axis that meets it is at rest on it, and leaves it when the effort pulls it away.
 
     Parameters
     ----------
@@ -22,6 +23,8 @@ class TruePlant:
         Friction, effort unit; finite, not negative.
     position : float, optional
         Position at the start; the velocity is 0.
+    stop_minimum, stop_maximum : float, optional
+        Positions of the hard stops, position unit; infinite for none. The start lies between them.
 
     Attributes
     ----------
@@ -36,22 +39,44 @@ class TruePlant:
         If a parameter is out of its range.
     """
 
-    __slots__ = ("_coulomb_friction", "_gain", "_pole", "position", "velocity")
+    __slots__ = ("_coulomb_friction", "_gain", "_pole", "_stop_maximum", "_stop_minimum", "position", "velocity")
 
-    def __init__(self, gain: float, pole: float, coulomb_friction: float = 0.0, position: float = 0.0) -> None:
-        if not (isfinite(gain) and gain != 0 and isfinite(pole) and pole > 0):
-            raise ValueError(f"plant with gain {gain} and pole {pole}: not 0 and above 0 are needed")
-        if not (isfinite(coulomb_friction) and coulomb_friction >= 0 and isfinite(position)):
+    def __init__(
+        self,
+        gain: float,
+        pole: float,
+        coulomb_friction: float = 0.0,
+        position: float = 0.0,
+        stop_minimum: float = -inf,
+        stop_maximum: float = inf,
+    ) -> None:
+        self.change(gain, pole, coulomb_friction)
+        if not (isfinite(position) and stop_minimum <= position <= stop_maximum):
             raise ValueError(
-                f"plant with friction {coulomb_friction}, position {position}: both must be finite, friction >= 0"
+                f"plant at position {position}: must be finite and between its stops {stop_minimum} and {stop_maximum}"
             )
-        self._gain = gain
-        self._pole = pole
-        self._coulomb_friction = coulomb_friction
+        self._stop_minimum = stop_minimum
+        self._stop_maximum = stop_maximum
         self.position = position
         self.velocity = 0.0
 
-    def advance(self, duration_s: float, effort: float) -> None:
+    def change(self, gain: float, pole: float, coulomb_friction: float) -> None:
+        """Go on with other parameters from where it is, at the velocity that it has.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is out of its range. Nothing has then changed.
+        """
+        if not (isfinite(gain) and gain != 0 and isfinite(pole) and pole > 0):
+            raise ValueError(f"plant with gain {gain} and pole {pole}: not 0 and above 0 are needed")
+        if not (isfinite(coulomb_friction) and coulomb_friction >= 0):
+            raise ValueError(f"plant with friction {coulomb_friction}: must be finite and not negative")
+        self._gain = gain
+        self._pole = pole
+        self._coulomb_friction = coulomb_friction
+
+    def advance(self, duration_s: float, effort: float) -> float:
         """Move on by `duration_s` at constant effort. Exact for any duration: there is no step size to choose.
 
         Parameters
@@ -61,6 +86,12 @@ class TruePlant:
         effort : float
             Net effort (what the drive gives less the load), effort unit.
 
+        Returns
+        -------
+        float
+            Where it first stopped on the way, by itself or by a hard stop; where it is now, if it never did. From its
+            start to there and from there to its present position it moved in one direction each.
+
         Raises
         ------
         ValueError
@@ -68,28 +99,65 @@ class TruePlant:
         """
         if not (isfinite(duration_s) and duration_s >= 0 and isfinite(effort)):
             raise ValueError(f"cannot advance the plant by {duration_s} s at effort {effort}")
-        if self.velocity != 0.0:
-            acceleration = self._gain * (effort - copysign(self._coulomb_friction, self._gain * self.velocity))
+        first_stop = None
+        # Until it rests or meets a stop; from there by the effort, which may bring it to the other stop; no further.
+        while duration_s > 0.0 and (direction := self._direction(effort)):
+            position, velocity = self.position, self.velocity
+            acceleration = self._gain * (effort - copysign(self._coulomb_friction, self._gain * direction))
             until_rest_s = self._time_to_rest(acceleration)
-            if until_rest_s > duration_s:
-                self._glide(duration_s, acceleration)
-                return
-            self._glide(until_rest_s, acceleration)
+            passed_s = min(until_rest_s, duration_s)
+            self._glide(passed_s, acceleration)
+            hard_stop = self._stop_maximum if direction > 0 else self._stop_minimum
+            if (self.position - hard_stop) * direction >= 0.0:
+                self.position, self.velocity = position, velocity
+                passed_s = self._time_to(hard_stop, passed_s, acceleration, direction)
+                self.position = hard_stop
+            elif until_rest_s > duration_s:
+                break
             self.velocity = 0.0
-            duration_s -= until_rest_s
-        if abs(effort) > self._coulomb_friction:
-            # From rest it follows the effort, and cannot come to rest again while the effort stays as it is.
-            self._glide(duration_s, self._gain * (effort - copysign(self._coulomb_friction, effort)))
+            duration_s -= passed_s
+            if first_stop is None:
+                first_stop = self.position
+        return self.position if first_stop is None else first_stop
+
+    def _direction(self, effort: float) -> float:
+        """Tell which way it moves now: +1 or -1, or 0 when friction or a hard stop holds it."""
+        if self.velocity != 0.0:
+            return copysign(1.0, self.velocity)
+        if abs(effort) <= self._coulomb_friction:
+            return 0.0
+        direction = copysign(1.0, self._gain * effort)
+        held = self.position >= self._stop_maximum if direction > 0 else self.position <= self._stop_minimum
+        return 0.0 if held else direction
+
+    def _time_to(self, position: float, latest_s: float, acceleration: float, direction: float) -> float:
+        """Find when it gets to a position, at the latest at `latest_s`; by bisection, down to neighbouring floats."""
+        early_s, late_s = 0.0, latest_s
+        while early_s < (middle_s := (early_s + late_s) / 2) < late_s:
+            if (self.position + self._distance(middle_s, acceleration) - position) * direction < 0.0:
+                early_s = middle_s
+            else:
+                late_s = middle_s
+        return late_s
 
     def _time_to_rest(self, acceleration: float) -> float:
         """Solve ``velocity exp(-pole t) + acceleration / pole (1 - exp(-pole t)) = 0`` for t; infinity if never."""
+        if self.velocity == 0.0:  # it sets out, and does not stop again while the effort stays as it is
+            return inf
         if acceleration == 0.0 or (acceleration > 0) == (self.velocity > 0):
-            return float("inf")
+            return inf
         return log1p(-self._pole * self.velocity / acceleration) / self._pole
 
     def _glide(self, duration_s: float, acceleration: float) -> None:
         """Zero-order-hold solution of ``velocity' = -pole velocity + acceleration`` with the direction unchanged."""
-        effective_s = -expm1(-self._pole * duration_s) / self._pole  # integral of exp(-pole t) over the duration
+        self.position += self._distance(duration_s, acceleration)
+        self.velocity += (acceleration - self._pole * self.velocity) * self._effective_s(duration_s)
+
+    def _distance(self, duration_s: float, acceleration: float) -> float:
+        """How far it gets in one direction, without a stop."""
         final_velocity = acceleration / self._pole
-        self.position += final_velocity * duration_s + (self.velocity - final_velocity) * effective_s
-        self.velocity += (acceleration - self._pole * self.velocity) * effective_s
+        return final_velocity * duration_s + (self.velocity - final_velocity) * self._effective_s(duration_s)
+
+    def _effective_s(self, duration_s: float) -> float:
+        """Integral of ``exp(-pole t)`` over the duration."""
+        return -expm1(-self._pole * duration_s) / self._pole

@@ -1,10 +1,14 @@
 """Settings of the simulated drive: the *true* plant, apart from the law's model, and what goes wrong with it."""
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from twostage_servo.settings import Settings, quantity
+
+
+def _place(description: str) -> Any:
+    return quantity(None, unit="axis unit", description=description, ge=-1e9, le=1e9)
 
 
 class SimulationSettings(Settings):
@@ -29,6 +33,16 @@ class SimulationSettings(Settings):
     )
     initial_position: float = quantity(
         0.0, unit="axis unit", description="True position at the start of the drive.", ge=-1e9, le=1e9
+    )
+    hard_stop_minimum: float | None = _place("Hard stop at the end of smaller positions; absent: none.")
+    hard_stop_maximum: float | None = _place("Hard stop at the end of larger positions; absent: none.")
+    negative_limit_from: float | None = _place("The negative limit switch is active from here down; absent: none.")
+    positive_limit_from: float | None = _place("The positive limit switch is active from here up; absent: none.")
+    home_switch_from: float | None = _place("The home switch is active from here up; absent: none.")
+    home_switch_to: float | None = _place("The home switch is active from here down; absent: none.")
+    index_at: float | None = _place("True position of an index mark of the encoder; absent: none.")
+    index_pitch: float = quantity(
+        0.0, unit="axis unit", description="Distance from index mark to index mark; 0 for a single one.", ge=0, le=1e9
     )
     noise_std: float = quantity(
         0.0,
@@ -99,3 +113,22 @@ class SimulationSettings(Settings):
         if 0.0 < value < 1e-9:
             raise ValueError("smaller than 1e-9 is no resolution of an encoder; 0 for one without steps")
         return value
+
+    @model_validator(mode="after")
+    def _places_fit(self) -> "SimulationSettings":
+        for lower, upper in (
+            ("hard_stop_minimum", "hard_stop_maximum"),
+            ("negative_limit_from", "positive_limit_from"),
+            ("home_switch_from", "home_switch_to"),
+        ):
+            low, high = getattr(self, lower), getattr(self, upper)
+            if low is not None and high is not None and low >= high:
+                raise ValueError(f"{lower} = {low:g} is not below {upper} = {high:g}")
+        if (self.home_switch_from is None) != (self.home_switch_to is None):
+            raise ValueError("home_switch_from and home_switch_to are the two ends of one switch: give both or neither")
+        if self.index_pitch and self.index_at is None:
+            raise ValueError(f"index_pitch = {self.index_pitch:g} without index_at: say where one of the marks is")
+        for stop, sign in ((self.hard_stop_minimum, -1.0), (self.hard_stop_maximum, 1.0)):
+            if stop is not None and (self.initial_position - stop) * sign > 0.0:
+                raise ValueError(f"initial_position = {self.initial_position:g} is beyond the hard stop at {stop:g}")
+        return self

@@ -1,0 +1,69 @@
+"""Settings of the bus: which interface of python-can, and how it is opened."""
+
+import difflib
+from typing import Any, Final
+
+import can
+from pydantic import Field, field_validator, model_validator
+
+from twostage_servo.settings import Settings, quantity
+
+_OWN_ARGUMENTS: Final = frozenset(
+    {"interface", "channel", "bitrate", "can_filters", "ignore_config", "config_context", "receive_own_messages"}
+)
+_NO_BITRATE: Final = frozenset({"socketcan", "socketcand", "udp_multicast", "virtual"})
+
+
+class BusSettings(Settings):
+    """The bus and how it is opened."""
+
+    interface: str = Field(
+        description="Interface of python-can: socketcan, socketcand, udp_multicast, virtual, pcan, ..."
+    )
+    channel: str | int = Field(description="Channel of the interface, such as can0")
+    bitrate: int | None = quantity(
+        None,
+        unit="bit/s",
+        description="Bit rate, for interfaces that set it; for socketcan 'ip link' does",
+        gt=0,
+        le=1_000_000,
+    )
+    options: dict[str, bool | int | float | str] = Field(
+        default_factory=dict, description="Further arguments of the python-can interface, passed as they are"
+    )
+    max_frames_per_tick: int = quantity(
+        256,
+        unit="frames",
+        description="Most frames read in one tick; a classic bus at 1 Mbit/s carries 212 in 10 ms",
+        ge=1,
+        le=10_000,
+    )
+    reopen_interval_ms: float = quantity(
+        1000.0, unit="ms", description="Time between two attempts to open the bus", ge=10.0, le=60_000.0
+    )
+
+    @field_validator("interface")
+    @classmethod
+    def _is_known(cls, interface: str) -> str:
+        if interface not in can.VALID_INTERFACES:
+            near = difflib.get_close_matches(interface, can.VALID_INTERFACES, n=1)
+            guess = f"did you mean {near[0]}? " if near else ""
+            raise ValueError(
+                f"python-can has no such interface; {guess}It knows: {', '.join(sorted(can.VALID_INTERFACES))}"
+            )
+        return interface
+
+    @field_validator("options")
+    @classmethod
+    def _has_no_argument_of_ours(cls, options: dict[str, Any]) -> dict[str, Any]:
+        if clash := sorted(_OWN_ARGUMENTS & options.keys()):
+            raise ValueError(
+                f"{', '.join(clash)} cannot be set here; interface, channel and bitrate have keys of their own"
+            )
+        return options
+
+    @model_validator(mode="after")
+    def _bitrate_has_an_effect(self) -> "BusSettings":
+        if self.bitrate is not None and self.interface in _NO_BITRATE:
+            raise ValueError(f"bitrate has no effect on interface {self.interface!r}; remove it")
+        return self

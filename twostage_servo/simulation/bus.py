@@ -1,0 +1,188 @@
+"""A CAN bus inside one process and in simulated time: no thread, no waiting, and every fault of a bus on demand."""
+
+import copy
+import errno
+import heapq
+import os
+from collections.abc import Callable, Iterable
+from typing import Final, TypeAlias
+
+import can
+
+Disturbance: TypeAlias = Callable[[str, can.Message, float], Iterable[tuple[float, can.Message]]]
+"""``disturb(sender, message, now in s)`` gives what arrives of a frame: pairs of delay in s and message."""
+
+_QUEUE_LENGTH: Final = 1024
+"""Of each node; the frames of 50 ms on a classic bus at 1 Mbit/s."""
+_ROUNDING_S: Final = 1e-9
+"""A frame whose delay ends just now has arrived, whatever the sum of the two rounds to."""
+
+
+class Wire:
+    """The wire that joins the nodes. Frames take no time but the delay of the disturbance.
+
+    Parameters
+    ----------
+    clock : callable
+        Gives the present time, s; it stamps the frames. For instance ``loop.time`` of a simulated clock.
+
+    Attributes
+    ----------
+    disturb : callable or None
+        Decides what arrives of each frame that a node sends, see :data:`Disturbance`: nothing (lost), two pairs
+        (doubled), a delay (late, and behind later frames), another message (damaged). It may change the message that it
+        is given. None: the frame arrives at once.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.clock = clock
+        self.disturb: Disturbance | None = None
+        self._nodes: dict[str, WireNode] = {}
+
+    def node(self, name: str) -> "WireNode":
+        """Return the node of this name, which outlives the buses that are attached at it; made when it is new."""
+        if name not in self._nodes:
+            self._nodes[name] = WireNode(self)
+        return self._nodes[name]
+
+    def attach(self, name: str) -> "WireBus":
+        """Open a bus at a node, with an empty queue.
+
+        Raises
+        ------
+        OSError
+            ENETDOWN when the node is down, EBUSY when it has an open bus already.
+        """
+        node = self.node(name)
+        if node.down:
+            raise OSError(errno.ENETDOWN, os.strerror(errno.ENETDOWN))
+        if node.is_attached:
+            raise OSError(errno.EBUSY, f"{os.strerror(errno.EBUSY)}: node {name} has an open bus")
+        return WireBus(self, name)
+
+    def transmit(self, sender: str, message: can.Message) -> None:
+        """Bring a frame to all nodes but its sender, as the disturbance wills."""
+        now_s = self.clock()
+        arrivals = [(0.0, message)] if self.disturb is None else self.disturb(sender, _copy(message), now_s)
+        for delay_s, arriving in arrivals:
+            for name, node in self._nodes.items():
+                if name != sender:
+                    node.enqueue(arriving, now_s + delay_s)
+
+
+class WireNode:
+    """A node's place on the wire: its receive queue, and its faults.
+
+    Attributes
+    ----------
+    send_error, receive_error : BaseException or None
+        Raised by each ``send`` and each ``recv`` of the node's bus.
+    is_attached : bool
+        Whether a bus is open at this node.
+    dropped : int
+        Oldest frames lost because nobody read them and the queue was full.
+    """
+
+    def __init__(self, wire: Wire) -> None:
+        self.send_error: BaseException | None = None
+        self.receive_error: BaseException | None = None
+        self.is_attached = False
+        self.dropped = 0
+        self._wire = wire
+        self._down = False
+        self._queue: list[tuple[float, int, can.Message]] = []  # a heap: (time of arrival, number, message)
+        self._frames_queued = 0
+
+    @property
+    def down(self) -> bool:
+        """Whether the interface is down: no bus can be attached, an open one fails, and what arrives is lost."""
+        return self._down
+
+    @down.setter
+    def down(self, down: bool) -> None:
+        self._down = down
+        self._queue.clear()
+
+    def inject(self, message: can.Message) -> None:
+        """Let a frame of any kind arrive at this node alone, now: an error frame, a foreign command, babble."""
+        self.enqueue(message, self._wire.clock())
+
+    def enqueue(self, message: can.Message, arrival_s: float) -> None:
+        """Let a copy of a frame arrive at a time, which is its time stamp; it is lost when nobody can take it."""
+        if self._down or not self.is_attached:
+            return
+        arriving = _copy(message)
+        arriving.timestamp = arrival_s
+        arriving.is_rx = True
+        self._frames_queued += 1
+        heapq.heappush(self._queue, (arrival_s, self._frames_queued, arriving))
+        if len(self._queue) > _QUEUE_LENGTH:
+            heapq.heappop(self._queue)
+            self.dropped += 1
+
+    def next_arrived(self) -> can.Message | None:
+        """Take the frame that arrived first; None when none has arrived."""
+        if self._queue and self._queue[0][0] <= self._wire.clock() + _ROUNDING_S:
+            return heapq.heappop(self._queue)[2]
+        return None
+
+    def attached(self, is_attached: bool) -> None:
+        """Note that a bus was opened or closed."""
+        self.is_attached = is_attached
+        self._queue.clear()
+
+
+class WireBus(can.BusABC):
+    """One node's bus, in the manner of python-can. Made by :meth:`Wire.attach`.
+
+    Attributes
+    ----------
+    clock : callable
+        The clock that stamps the frames, s.
+    """
+
+    def __init__(self, wire: Wire, name: str) -> None:
+        self.clock = wire.clock
+        self.channel_info = f"node {name} of a simulated bus"
+        self._wire = wire
+        self._name = name
+        self._node = wire.node(name)
+        self._node.attached(True)
+        super().__init__(channel=name)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if timeout != 0:
+            raise ValueError(f"recv({timeout}) on a simulated bus: time stands still while it waits, use recv(0)")
+        self._check(self._node.receive_error)
+        return self._node.next_arrived(), False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - never waits
+        """Bring a frame to all other nodes.
+
+        Raises
+        ------
+        can.CanOperationError
+            When the bus is closed, or its node is down.
+        """
+        self._check(self._node.send_error)
+        self._wire.transmit(self._name, msg)
+
+    def _check(self, error: BaseException | None) -> None:
+        if self._is_shutdown:
+            raise can.CanOperationError("the bus is closed", errno.EBADF)
+        if self._node.down:
+            raise can.CanOperationError(os.strerror(errno.ENETDOWN), errno.ENETDOWN)
+        if error is not None:
+            raise error
+
+    def shutdown(self) -> None:
+        """Leave the wire."""
+        if not self._is_shutdown:
+            self._node.attached(False)
+        super().shutdown()
+
+
+def _copy(message: can.Message) -> can.Message:
+    copied = copy.copy(message)
+    copied.data = bytearray(message.data)  # python-can's copy shares them
+    return copied
