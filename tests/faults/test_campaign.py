@@ -1,0 +1,174 @@
+"""The campaign itself: what it injects is met, and what it reports can fail."""
+
+import dataclasses
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from twostage_servo.cli.main import main
+from twostage_servo.config import load
+from twostage_servo.faults.campaign import Campaign, Cell
+from twostage_servo.faults.configuration import ConfigurationFaults
+from twostage_servo.faults.report import as_json, as_markdown, as_page, as_text
+from twostage_servo.faults.table import MEANINGS, TABLE, Fault, Phase
+from twostage_servo.service.log import open_log
+
+SHARE = [
+    (1, Phase.CRUISING), (2, Phase.CHANGEOVER), (3, Phase.HOLDING), (7, Phase.ACCELERATING), (8, Phase.CRUISING),
+    (10, Phase.SETTLING), (11, Phase.CRUISING), (13, Phase.IDLE), (15, Phase.CRUISING), (16, Phase.ACCELERATING),
+    (17, Phase.CRUISING), (18, Phase.SETTLING), (19, Phase.CRUISING), (20, Phase.SETTLING), (21, Phase.HOLDING),
+    (22, Phase.IDLE), (24, Phase.CRUISING), (27, Phase.HOLDING), (28, Phase.CRUISING), (29, Phase.ACCELERATING),
+    (30, Phase.SETTLING), (31, Phase.HOLDING), (33, Phase.CRUISING), (34, Phase.HOLDING), (35, Phase.CRUISING),
+    (36, Phase.CRUISING), (40, Phase.CRUISING), (41, Phase.CRUISING), (43, Phase.CRUISING), (44, Phase.CHANGEOVER),
+    (45, Phase.HOLDING), (46, Phase.CRUISING), (49, Phase.SETTLING), (51, Phase.CRUISING), (52, Phase.CRUISING),
+    (53, Phase.CRUISING),
+]  # fmt: skip
+"""One or two cells of each kind of fault; continuous integration runs them all."""
+
+
+@pytest.fixture(autouse=True)
+def _quiet(tmp_path: Path) -> Iterator[None]:
+    with (tmp_path / "log").open("w") as nowhere:
+        writer = open_log("critical", nowhere)
+        yield
+        writer.close()
+
+
+@pytest.fixture(scope="module")
+def campaign() -> Campaign:
+    return Campaign(load(None), seed=11)
+
+
+@pytest.mark.parametrize(("number", "phase"), SHARE, ids=str)
+def test_a_share_of_the_faults_is_met(campaign: Campaign, number: int, phase: Phase) -> None:
+    for fault in TABLE:
+        if fault.number == number:
+            cell = campaign.run(fault, phase)
+            assert cell.met, cell
+
+
+def test_the_table_holds_every_fault_that_needs_neither_processes_nor_a_configuration_of_its_own() -> None:
+    assert {fault.number for fault in TABLE} == set(range(1, 55)) - {37, 38, 39, 42, 47, 48, 54}
+    assert {phase for fault in TABLE for phase in fault.phases} == set(Phase)
+    names = [(fault.number, fault.name) for fault in TABLE]
+    assert len(set(names)) == len(names)
+
+
+def test_the_same_seed_gives_the_same_cell_and_another_one_does_not(campaign: Campaign) -> None:
+    fault = next(fault for fault in TABLE if fault.number == 19)
+    first, again = (Campaign(load(None), seed=3).run(fault, Phase.CRUISING) for _ in range(2))
+    assert first == again
+    assert Campaign(load(None), seed=4).run(fault, Phase.CRUISING).travel != first.travel
+
+
+def test_the_verdict_can_fail(campaign: Campaign) -> None:
+    fault = next(fault for fault in TABLE if fault.number == 2)
+    tolerant = dataclasses.replace(fault, expected="T", idle="T")
+    assert not campaign.run(tolerant, Phase.CRUISING).met
+    tight = dataclasses.replace(fault, bound=lambda _: 1e-3)
+    cell = campaign.run(tight, Phase.CRUISING)
+    assert cell.observed == cell.expected == "Q"
+    assert not cell.met
+    unhappy = dataclasses.replace(fault, check=lambda _: "something else")
+    assert campaign.run(unhappy, Phase.CRUISING).wrong == "something else"
+
+
+def test_what_is_injected_depends_on_the_limits_of_the_axis() -> None:
+    """With a limit of 60 ms, six frames lost in a row trip, and the bound grows by what three ticks travel."""
+    fault = next(fault for fault in TABLE if fault.number == 2)
+    usual = Campaign(load(None), seed=1).run(fault, Phase.CRUISING)
+    patient = Campaign(load(None, ["axis.limits.stale_feedback_ms=60"]), seed=1).run(fault, Phase.CRUISING)
+    assert patient.met
+    assert patient.travel - usual.travel == pytest.approx(3.0, abs=0.2)  # 100 mm/s for 30 ms
+    assert patient.bound - usual.bound == pytest.approx(3.0, abs=0.2)
+
+
+def test_a_gentler_quick_stop_travels_farther_and_is_allowed_to() -> None:
+    fault = next(fault for fault in TABLE if fault.number == 19)
+    hard = Campaign(load(None), seed=1).run(fault, Phase.CRUISING)
+    gentle_limits = ["axis.limits.acceleration=400", "axis.limits.quick_stop_deceleration=400"]
+    gentle = Campaign(load(None, gentle_limits), seed=1).run(fault, Phase.CRUISING)
+    assert hard.met
+    assert gentle.met
+    # v^2 / 2a is 1.25 mm with 4000 mm/s2, and 12.5 mm with 400: friction alone would stop it after 7.1 mm.
+    assert gentle.travel - hard.travel == pytest.approx(11.0, abs=2.0)
+
+
+def test_the_policy_for_a_lost_holder_is_the_configurations() -> None:
+    fault = next(fault for fault in TABLE if fault.number == 46)
+    for policy, letter in (("continue", "T"), ("stop", "H"), ("disarm", "H")):
+        cell = Campaign(load(None, [f"service.holder_lost={policy}"]), seed=2).run(fault, Phase.CRUISING)
+        assert (cell.met, cell.observed) == (True, letter)
+
+
+def test_faults_that_a_drive_cannot_have_are_left_out() -> None:
+    without = [
+        f"protocol.feedback.{role}=false"
+        for role in ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
+    ]
+    numbers = {fault.number for fault, _ in Campaign(load(None, without), seed=1).cells()}
+    assert not numbers & {33, 34}
+    assert {2, 20, 35} <= numbers
+
+
+def test_configuration_faults_are_refused_with_the_key() -> None:
+    cells = list(ConfigurationFaults(None, ()).cells())
+    assert [cell.fault for cell in cells] == [47, 47, 47, 47, 48, 48]
+    assert all(cell.met for cell in cells), cells
+
+
+def cell(**changes: object) -> Cell:
+    usual = Cell(2, "frames <lost>", "cruising", "Q", "Q", "stale_feedback", 5.4321, 12.8, "")
+    return dataclasses.replace(usual, **changes)  # type: ignore[arg-type]
+
+
+def test_the_report_shows_each_cell_and_each_miss() -> None:
+    cells = [cell(), cell(phase="holding", observed="T", trip="", travel=0.01)]
+    result = as_json(cells, 7, "mm", ["33 safe torque off: no such signal"])
+    assert (result["met"], result["missed"], result["seed"]) == (1, 1, 7)
+    keys = {"fault", "name", "phase", "expected", "observed", "travel", "bound", "met"}
+    assert all(keys <= set(one) for one in result["cells"])
+    text = as_text(cells, "mm")
+    assert "Q 5.43/12.8" in text
+    assert "MISSED 2 frames <lost>, holding: expected Q, observed T, travel 0.010 of 12.800 mm" in text
+    assert all(meaning in text for meaning in MEANINGS.values())
+    assert "| 2 | frames <lost> |  |  | Q 6 / 13 |  |  | Q 0.1 / 13 **missed** |" in as_markdown(cells)
+    page = as_page(result, cells, "Axis x")
+    assert "frames &lt;lost&gt;" in page
+    assert "frames <lost>" not in page
+    assert "1 cells met, 1 missed" in page
+    assert page.count("class='missed'") == 1
+
+
+def test_the_command_gives_the_json_of_the_contract(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    page = tmp_path / "faults.html"
+    arguments = ["faults", "--fault", "19", "--fault", "47", "--phase", "cruising", "--phase", "idle", "--json"]
+    assert main([*arguments, "--seed", "5", "--simulated", "--html", str(page)]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert (result["seed"], result["missed"], result["unit"]) == (5, 0, "mm")
+    assert result["met"] == len(result["cells"]) == 6
+    assert [(one["fault"], one["phase"]) for one in result["cells"]][:2] == [(19, "idle"), (19, "cruising")]
+    assert all(one["travel"] <= one["bound"] for one in result["cells"])
+    assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_a_miss_is_an_exit_code_and_unknown_faults_are_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    # A load that pushes on, and no brake: the disabled axis does not come to rest.
+    pushed = ["--set", "simulation.load=-3", "--set", "simulation.load_at_s=1"]
+    assert main(["faults", "--fault", "26", "--phase", "cruising", "--simulated", "--json", *pushed]) == 3
+    assert json.loads(capsys.readouterr().out)["missed"] == 1
+    # A plant that answers four times as strongly as its model says does not even move without a fault.
+    wild = ["--set", "simulation.gain=720"]
+    assert main(["faults", "--fault", "26", "--phase", "cruising", "--simulated", "--json", *wild]) == 3
+    assert "without a fault" in json.loads(capsys.readouterr().out)["error"]["message"]
+    assert main(["faults", "--fault", "99", "--simulated", "--json"]) == 2
+
+
+def test_a_fault_expects_a_refusal_to_arm_where_it_would_disable() -> None:
+    by_number: dict[int, Fault] = {fault.number: fault for fault in TABLE}
+    assert by_number[33].expectation(Phase.IDLE, "continue") == "R"
+    assert by_number[1].expectation(Phase.IDLE, "continue") == "T"
+    assert by_number[34].expectation(Phase.HOLDING, "continue") == "R"
+    assert by_number[34].expectation(Phase.CRUISING, "continue") == "Q"

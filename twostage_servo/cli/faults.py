@@ -1,0 +1,105 @@
+"""`faults`: the fault campaign on an axis, in simulated time: what its limits mean in distance."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from twostage_servo.cli.configuration import add_options, configuration_problems, find_configuration
+from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+
+if TYPE_CHECKING:
+    from twostage_servo.faults.campaign import Cell
+
+_PHASES = ("idle", "accelerating", "cruising", "change-over", "settling", "holding")
+
+
+def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
+    """Declare the verb."""
+    faults = verbs.add_parser(
+        "faults",
+        help="inject every fault into this axis in simulated time: how it reacts, how far it travels",
+        description="Inject 54 faults of bus, encoder, drive, host, operator and disk into the running service, in "
+        "six phases of a move, in simulated time on the axis of a configuration. Shows the reaction, and the travel "
+        "after the fault against the largest that the limits allow. Five faults need real processes and real time; "
+        "they run on a loopback bus.",
+    )
+    add_options(faults, required=False)
+    faults.add_argument("--fault", type=int, action="append", metavar="N", help="only this fault; may be repeated")
+    faults.add_argument("--phase", choices=_PHASES, action="append", help="only this phase; may be repeated")
+    faults.add_argument("--seed", type=int, default=1, metavar="N", help="seed of noise, sizes and moments (default 1)")
+    faults.add_argument("--html", type=Path, metavar="FILE", help="write the matrix as a page")
+    faults.add_argument("--simulated", action="store_true", help="leave out the faults that need real processes")
+    faults.set_defaults(run=_faults)
+
+
+def _faults(options: argparse.Namespace) -> ExitCode:
+    from twostage_servo.faults.campaign import NotOperableError
+    from twostage_servo.faults.report import as_json, as_page, as_text
+    from twostage_servo.faults.runner import run_campaign
+    from twostage_servo.faults.table import Phase
+
+    if not 0 <= options.seed < 2**63:
+        raise CommandError(ExitCode.USAGE, "usage", f"--seed {options.seed}: from 0 to 2^63 - 1 is possible")
+    path = find_configuration(options.config)
+    unit, name, missing = _inspect(path, options)
+    progress = Progress(quiet=options.json)
+    missed = 0
+
+    def report(cell: "Cell", done: int, total: int) -> None:
+        nonlocal missed
+        missed += not cell.met
+        progress.show(f"{bar(done / total)} {done} of {total}, {missed} missed: {cell.fault} {cell.name}, {cell.phase}")
+
+    try:
+        with configuration_problems():
+            cells = run_campaign(
+                path, options.overrides, options.seed,
+                faults=tuple(options.fault or ()),
+                phases=[Phase(phase) for phase in options.phase] if options.phase else tuple(Phase),
+                processes=not options.simulated,
+                report=report,
+            )  # fmt: skip
+    except NotOperableError as error:
+        raise CommandError(
+            ExitCode.FAILED, "not_operable", f"{error}. `demo --fast` with this configuration shows the same move."
+        ) from error
+    finally:
+        progress.end()
+    if not cells:
+        raise CommandError(
+            ExitCode.USAGE, "usage", "no such fault on this axis, or not in this phase: see docs/faults.md for the list"
+        )
+    result: dict[str, Any] = as_json(cells, options.seed, unit, missing)
+    if options.html is not None:
+        _write(options.html, as_page(result, cells, f"Axis {name} of {path or 'the embedded demo.toml'}"))
+    if options.json:
+        print_json(result)
+    else:
+        print_line(as_text(cells, unit))
+        print_line(f"{result['met']} cells met, {result['missed']} missed; seed {options.seed}")
+    return ExitCode.FAILED if result["missed"] else ExitCode.DONE
+
+
+def _inspect(path: Path | None, options: argparse.Namespace) -> tuple[str, str, list[str]]:
+    """Return unit and name of the axis, and which faults it cannot have."""
+    from twostage_servo.config import load
+    from twostage_servo.faults.table import TABLE
+    from twostage_servo.service.assembly import compile_profile
+
+    with configuration_problems():
+        loaded = load(path, options.overrides)
+        profile = compile_profile(loaded)
+    missing = [
+        f"{fault.number} {fault.name}: the drive of this configuration has no such signal"
+        for fault in TABLE
+        if not fault.needs(profile, loaded.config.protocol)
+    ]
+    return loaded.config.axis.unit, loaded.config.axis.name, missing
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CommandError(ExitCode.FAILED, "html", f"the page cannot be written: {error}") from error
+    note(f"page written to {path}")

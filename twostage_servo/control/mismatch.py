@@ -1,0 +1,95 @@
+"""Does the plant still answer the effort as its model says? A test of four models against each other.
+
+Each hypothesis is a disturbance observer for a plant of another gain, fed with the same samples and efforts: the model
+itself, and the model with its gain reversed, cut to less than half, and more than doubled. That is what an encoder with
+its sign inverted or its scale wrong looks like from outside, or a drive whose gain has changed. Under the true
+hypothesis the innovations are smallest. A load that steps surprises all hypotheses alike, so it decides nothing; only the
+answer to the effort tells them apart. In an exponential window their squares are summed and compared: multiple-model
+estimation (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001,
+section 11.6), with a threshold on the ratio in place of its probabilities.
+"""
+
+from typing import Final
+
+from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
+from twostage_servo.control.plant import Plant
+
+GAIN_FACTORS: Final = (-1.0, 0.45, 2.2)
+"""Gains that the model is tested against, as multiples of its own: so far off that a plant 30 % off stays nearer to 1."""
+
+FORGETTING: Final = 0.93
+"""Weight of the window for each tick of age: a time constant of 14 ticks."""
+
+EVIDENCE: Final = 8.0
+"""How many times smaller another hypothesis' sum of squares has to be."""
+
+
+class ModelTest:
+    """Compares the model with the hypotheses; give it each tick once.
+
+    Parameters
+    ----------
+    plant
+        The model.
+    period_s
+        T_s in s.
+    noise
+        What the observers assume; the same for all.
+    least
+        Root of the model's sum of squared innovations, in axis unit, below which nothing is decided: what quantisation
+        leaves. A scale needs twice as much: a pole that is off looks like one while the axis settles.
+
+    Attributes
+    ----------
+    surprise
+        Root of the model's own sum of squared innovations in the window, in axis unit.
+    """
+
+    __slots__ = ("_least", "_observers", "_sum", "_sums", "surprise")
+
+    def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, least: float) -> None:
+        self._observers = []
+        for factor in GAIN_FACTORS:
+            sampled = Plant(factor * plant.gain, plant.pole).discretise(period_s)
+            gain = kalman_gain(sampled, noise).predictor
+            self._observers.append(DisturbanceObserver(sampled, gain, noise.disturbance_memory))
+        self._least = least
+        self._sums = [0.0] * len(GAIN_FACTORS)
+        self._sum = 0.0
+        self.surprise = 0.0
+
+    def start(self, observer: DisturbanceObserver) -> None:
+        """Begin afresh from the estimate of the law's observer."""
+        for hypothesis in self._observers:
+            hypothesis.continue_from(observer)
+        self._sums = [0.0] * len(GAIN_FACTORS)
+        self._sum = self.surprise = 0.0
+
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower."""
+        for hypothesis in self._observers:
+            hypothesis.position += distance
+
+    def predict(self, effort: float) -> None:
+        """Account for a period without a sample, in which `effort` (effort unit) acted."""
+        for hypothesis in self._observers:
+            hypothesis.predict(effort)
+
+    def update(self, sample: float, effort: float, innovation: float) -> None:
+        """Take ``y(k-1)`` (axis unit), ``u(k-1)`` (effort unit) and what the sample was to the model itself."""
+        self._sum = FORGETTING * self._sum + innovation * innovation
+        self.surprise = self._sum**0.5
+        sums = self._sums
+        for index, hypothesis in enumerate(self._observers):
+            hypothesis.update(sample, effort)
+            sums[index] = FORGETTING * sums[index] + hypothesis.innovation * hypothesis.innovation
+
+    @property
+    def better_gain_factor(self) -> float | None:
+        """The gain, as a multiple of the model's, of a hypothesis that explains the window far better; else None."""
+        if self.surprise <= self._least:
+            return None
+        best = min(range(len(GAIN_FACTORS)), key=self._sums.__getitem__)
+        factor = GAIN_FACTORS[best]
+        enough = factor < 0.0 or self.surprise > 2.0 * self._least
+        return factor if enough and self._sum > EVIDENCE * self._sums[best] else None

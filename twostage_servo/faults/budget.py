@@ -1,0 +1,159 @@
+"""How far the axis may travel after a fault: derived from the limits, the model and what the move would have been.
+
+No figure here comes from a run with a fault in it. A reaction has three parts: what passes unnoticed, until a limit
+says that something is wrong; the latency of a tick or two; and coming to rest. Speeds are those of the same move
+without the fault.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
+from twostage_servo.faults.world import Sample
+
+MODEL_ERROR = 0.3
+"""Share by which the true plant may differ from its model: what the axis has to be good for."""
+
+_SAMPLE_AGE_TICKS = 2
+"""A fault may fall just behind a sample, and a sample is read a tick after it was taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """The move as it is without the fault.
+
+    Attributes
+    ----------
+    samples
+        One for each tick.
+    time_s
+        When the fault begins, in s.
+    to_go
+        Distance to the set-point at that moment, in axis unit.
+    closing
+        Whether that is in the position stage of a move.
+    """
+
+    samples: Sequence[Sample]
+    time_s: float
+    to_go: float
+    closing: bool
+
+    def peak_speed(self, duration_s: float) -> float:
+        """Return the largest speed from the fault on, for a time in s; in axis unit/s."""
+        return max(
+            (
+                abs(s.velocity)
+                for s in self.samples
+                if self.time_s - 0.02 <= s.time_s <= self.time_s + duration_s + 0.02
+            ),
+            default=0.0,
+        )
+
+    def remaining(self) -> float:
+        """Return how far it still goes from the fault on, in axis unit."""
+        after = [s.position for s in self.samples if s.time_s >= self.time_s - 0.02]
+        return max(abs(position - after[0]) for position in after) if after else 0.0
+
+    def length(self) -> float:
+        """Return how far the whole move goes, in axis unit."""
+        return max(abs(sample.position - self.samples[0].position) for sample in self.samples)
+
+
+class Budget:
+    """Distances (axis unit) that one fault in one phase may cost.
+
+    Parameters
+    ----------
+    design
+        The axis.
+    reference
+        The move without the fault.
+    command_timeout_s
+        After which silence the drive disables itself, in s.
+    cycle_s
+        How long the drive's firmware may take to read a command, in s.
+    """
+
+    def __init__(self, design: AxisDesign, reference: Reference, command_timeout_s: float, cycle_s: float) -> None:
+        self.design = design
+        self.limits = design.settings.limits
+        self.reference = reference
+        self.command_timeout_s = command_timeout_s
+        self.tick_s = design.period_s
+        self._latency_s = cycle_s + design.period_s
+        self._pole = design.settings.plant.pole
+        self._gain = abs(design.settings.plant.gain)
+
+    # What is tolerated -----------------------------------------------------------------------------------------------
+
+    def unnoticed(self) -> float:
+        """Return what could not be told from an ordinary move: the position window."""
+        return self.design.settings.window.position
+
+    def bridged(self) -> float:
+        """Return what ticks without a sample cost: an estimate off by more than the innovation limit would trip."""
+        return self.limits.innovation + self.unnoticed()
+
+    def followed(self) -> float:
+        """Return what the law has to work off: the following error that is allowed at the move's speed."""
+        speed = max(self.reference.peak_speed(60.0), self.design.settings.cruise_velocity)
+        return max(self.limits.following_error_minimum, self.limits.following_error_time_s * speed)
+
+    # What comes to rest ----------------------------------------------------------------------------------------------
+
+    def noticing_s(self, ticks: float) -> float:
+        """Return how long a fault that shows in each sample goes on until `ticks` of them have been seen, in s."""
+        return (ticks + _SAMPLE_AGE_TICKS) * self.tick_s
+
+    def coasting(self, noticed_s: float, extra_speed: float = 0.0) -> float:
+        """Return the way unnoticed for a time in s, then without effort: the plant's own friction stops it."""
+        speed = self.reference.peak_speed(noticed_s) + extra_speed
+        return speed * (noticed_s + self._latency_s) + speed / (self._pole * (1.0 - MODEL_ERROR)) + self.unnoticed()
+
+    def stopping(self, noticed_s: float, deceleration: float, extra_speed: float = 0.0) -> float:
+        """Return the way unnoticed for a time in s, then down a ramp, by so much more as the plant is off its model."""
+        speed = self.reference.peak_speed(noticed_s) + extra_speed
+        ramp = self.design.stopping_distance(speed, deceleration)
+        return speed * (noticed_s + self._latency_s) + ramp + MODEL_ERROR * speed / self._pole + self.unnoticed()
+
+    def quick_stop(self, noticed_s: float, extra_speed: float = 0.0) -> float:
+        """Return the same as :meth:`stopping`, with the quick stop deceleration."""
+        return self.stopping(noticed_s, self.limits.quick_stop_deceleration, extra_speed)
+
+    def stale(self) -> float:
+        """Return what missing feedback costs: quick stop on the model, after the limit."""
+        return self.quick_stop(self.noticing_s(self.limits.stale_feedback_ms / (1e3 * self.tick_s)))
+
+    def implausible(self) -> float:
+        """Return what samples beyond the innovation limit cost: quick stop on the model, after two."""
+        return self.quick_stop(self.noticing_s(IMPLAUSIBLE_SAMPLES))
+
+    def blind_encoder(self) -> float:
+        """Return what an encoder costs that stands still while its counter lives.
+
+        At a speed whose tick is longer than the innovation limit, samples become implausible at once. Below, the law
+        raises the effort until it has changed by the jam effort: by f22 a tick for each unit of speed or distance that
+        is missing. The effort may drive the axis by so much faster meanwhile.
+        """
+        speed = self.reference.peak_speed(0.0)
+        if speed * self.tick_s > self.limits.innovation:
+            return self.implausible()
+        missing = self.reference.to_go if self.reference.closing else self.design.settings.cruise_velocity
+        ticks = max(
+            self.design.ticks(self.limits.jam_time_ms), self.limits.jam_effort / (self.design.gains.f22 * missing)
+        )
+        noticed_s = self.noticing_s(ticks + self.design.ticks(self.limits.jam_time_ms))
+        added = self._gain / self._pole * self.limits.jam_effort * (1.0 + MODEL_ERROR)
+        return self.quick_stop(noticed_s, added)
+
+    def wrong_encoder(self) -> float:
+        """Return what a wrong sign or scale costs: it is noticed within ten times the innovation limit."""
+        return 10.0 * self.limits.innovation + self.quick_stop(self.noticing_s(IMPLAUSIBLE_SAMPLES))
+
+    def runaway(self, noticed_s: float) -> float:
+        """Return the move's own way, then what the following error allows, then until a braking counts as failed."""
+        speed = self.reference.peak_speed(60.0)
+        braking_s = 2.0 * self.design.stopping_time_s(speed, self.limits.quick_stop_deceleration)
+        return self.reference.remaining() + self.followed() + speed * braking_s + self.coasting(noticed_s)

@@ -1,0 +1,96 @@
+"""Faults of the configuration: each has to be refused before the bus is touched, with file, line and key."""
+
+import importlib.resources
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from twostage_servo.config import Config, ConfigError, LoadedConfig, load
+from twostage_servo.faults.campaign import Cell
+from twostage_servo.faults.table import REFUSED, TOLERATED, Phase
+from twostage_servo.service.assembly import build_service
+
+_MISSING = "stale_feedback_ms"
+_STEPS = 40
+
+
+class ConfigurationFaults:
+    """Makes a configuration wrong, one way at a time.
+
+    Parameters
+    ----------
+    path
+        The file; None for the embedded one.
+    overrides
+        ``KEY=VALUE`` arguments that belong to it.
+    """
+
+    def __init__(self, path: Path | None, overrides: Sequence[str]) -> None:
+        self._path = path
+        self._overrides = list(overrides)
+
+    def cells(self) -> Iterator[Cell]:
+        """Run them all."""
+        loaded = load(self._path, self._overrides)
+        for number, name, attempt, key in (
+            (47, "an unknown key", self._override("axis.limits.velocty=100"), "velocty"),
+            (47, "a missing key", self._without(_MISSING), _MISSING),
+            (47, "a value of the wrong type", self._override("axis.limits.velocity=[1]"), "velocity"),
+            (47, "a wrong unit", self._override('axis.unit="furlong"'), "unit"),
+            (
+                48,
+                "unstable gains",
+                self._override(f"axis.law.performance_index_ratio={1e6}"),
+                "performance_index_ratio",
+            ),
+            (48, "fragile gains", self._fragile(loaded), "performance_index_ratio"),
+        ):
+            observed, wrong = _try(attempt, key)
+            yield Cell(number, name, Phase.IDLE.value, REFUSED, observed, "", 0.0, 0.0, wrong)
+
+    def _override(self, override: str) -> Callable[[], LoadedConfig[Config]]:
+        return lambda: load(self._path, [*self._overrides, override])
+
+    def _without(self, key: str) -> Callable[[], LoadedConfig[Config]]:
+        def attempt() -> LoadedConfig[Config]:
+            if self._path is None:
+                text = (importlib.resources.files("twostage_servo_config") / "demo.toml").read_text(encoding="utf-8")
+            else:
+                text = self._path.read_text(encoding="utf-8")
+            lines = [line for line in text.splitlines() if not re.match(rf"\s*{key}\s*=", line)]
+            overrides = [override for override in self._overrides if key not in override]
+            with tempfile.TemporaryDirectory(prefix="twostage-servo-") as folder:
+                path = Path(folder) / "incomplete.toml"
+                path.write_text("\n".join(lines), encoding="utf-8")
+                return load(path, overrides)
+
+        return attempt
+
+    def _fragile(self, loaded: LoadedConfig[Config]) -> Callable[[], LoadedConfig[Config]]:
+        """Look for the largest Q/R that is not refused as unstable: just below, the loop is fragile."""
+        low = loaded.config.axis.law.performance_index_ratio
+        high = 1e6
+        for _ in range(_STEPS):
+            middle = (low * high) ** 0.5
+            if "unstable" in _refusal(self._override(f"axis.law.performance_index_ratio={middle!r}")):
+                high = middle
+            else:
+                low = middle
+        return self._override(f"axis.law.performance_index_ratio={low!r}")
+
+
+def _refusal(attempt: Callable[[], LoadedConfig[Config]]) -> str:
+    """Return the text with which a configuration is refused, or nothing."""
+    try:
+        build_service(attempt())
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def _try(attempt: Callable[[], LoadedConfig[Config]], key: str) -> tuple[str, str]:
+    text = _refusal(attempt)
+    if not text:
+        return TOLERATED, "it was taken"
+    return REFUSED, "" if key in text else f"the error does not name {key}: {text}"

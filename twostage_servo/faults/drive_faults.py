@@ -1,0 +1,145 @@
+"""Injections in the drive: its encoder, its power stage, its plant."""
+
+import math
+from collections.abc import Callable
+from random import Random
+
+from twostage_servo.faults.world import World
+
+LARGEST_JUMP = 100.0
+"""How far an encoder jumps at most, as a multiple of the innovation limit."""
+
+Injection = Callable[[World, Random], None]
+
+
+def frozen(world: World, _: Random) -> None:
+    """Let the encoder report the position of this moment for ever; its counter lives."""
+    place = world.drive.position
+    world.change(measure=lambda _position: place)
+
+
+def spike(world: World, random: Random) -> None:
+    """Let one sample be far off."""
+    height = random.choice((-1.0, 1.0)) * random.uniform(20.0, 200.0) * world.axis.settings.limits.innovation
+    left = 1
+
+    def measure(position: float) -> float:
+        nonlocal left
+        left -= 1
+        return position + height if left == 0 else position
+
+    world.change(measure=measure)
+
+
+def jump(world: World, random: Random) -> None:
+    """Let all samples be off by the same from now on."""
+    height = random.choice((-1.0, 1.0)) * random.uniform(4.0, LARGEST_JUMP) * world.axis.settings.limits.innovation
+    world.change(measure=lambda position: position + height)
+
+
+def scaled(factor: float) -> Injection:
+    """Let the encoder count another number of steps from where the axis is now; -1 turns it round."""
+
+    def inject(world: World, _: Random) -> None:
+        place = world.drive.position
+        world.change(measure=lambda position: place + factor * (position - place))
+
+    return inject
+
+
+def not_a_number(world: World, _: Random) -> None:
+    """Let the drive report that the position is invalid."""
+    world.change(measure=lambda _position: math.nan)
+
+
+def drift(world: World, _: Random) -> None:
+    """Let the encoder drift by the position window in each second."""
+    start_s, rate = world.now_s, world.axis.settings.window.position
+    world.change(measure=lambda position: position + rate * (world.now_s - start_s))
+
+
+def coarse(world: World, _: Random) -> None:
+    """Let the encoder's steps be as wide as half the position window."""
+    step = 0.5 * world.axis.settings.window.position
+    world.change(measure=lambda position: round(position / step) * step)
+
+
+def fault_bit(world: World, random: Random) -> None:
+    """Let the drive latch a fault."""
+    world.change(fault_code=random.randint(2, 9))
+
+
+def reboot(world: World, _: Random) -> None:
+    """Let the drive reboot: silent for 15 ms, disabled, and its encoder starts at 0."""
+    world.drive.reboot(world.now_s, 0.015)
+
+
+def ignore_effort(world: World, _: Random) -> None:
+    """Let the drive go on with the effort of this moment; it still obeys Enable."""
+    world.change(ignores_effort=True)
+
+
+def too_weak(world: World, _: Random) -> None:
+    """Let the plant need a little more effort than the limit for the velocity of the move."""
+    settings = world.axis.settings
+    needed = abs(settings.limits.velocity * settings.plant.pole / settings.plant.gain)
+    world.change(gain_factor=0.95 * needed / settings.limits.effort)
+
+
+def jam(world: World, _: Random) -> None:
+    """Let the axis stand still at once."""
+    world.change(jammed=True)
+
+
+def load_step(world: World, random: Random) -> None:
+    """Let a load act that deflects the holding axis by a third of the following error's minimum."""
+    world.change(load=random.choice((-1.0, 1.0)) * tolerable_load(world))
+
+
+def tolerable_load(world: World) -> float:
+    """Return the load, in effort unit, that deflects the position stage by a third of the least following error.
+
+    In the position stage a load step L moves the axis by less than L/f11, its deflection if the sum did nothing.
+    """
+    return world.axis.settings.limits.following_error_minimum / 3.0 * abs(world.axis.design.gains.f11)
+
+
+def another_plant(world: World, random: Random) -> None:
+    """Let gain and pole change by up to 20 %, and friction come up to a tenth of the jam effort."""
+    world.change(
+        gain_factor=random.uniform(0.8, 1.2),
+        pole_factor=random.uniform(0.8, 1.2),
+        coulomb_friction=0.1 * world.axis.settings.limits.jam_effort,
+    )
+
+
+def safe_torque_off(world: World, _: Random) -> None:
+    """Let somebody press the emergency stop."""
+    world.change(safe_torque_off=True)
+
+
+def limit_switch(world: World, _: Random) -> None:
+    """Let the switch ahead become active: the positive one if the axis moves or will move that way."""
+    ahead = world.heading
+    world.change(positive_limit=ahead > 0.0, negative_limit=ahead < 0.0)
+
+
+def heartbeat_stops(world: World, _: Random) -> None:
+    """Let the heartbeat stop; the feedback goes on."""
+    world.change(heartbeat_silent=True)
+
+
+def repeat_counter(world: World, _: Random) -> None:
+    """Let the alive counter stand still."""
+    world.change(frozen_counter=True)
+
+
+def roll_over_ahead(world: World) -> None:
+    """Shift what the encoder counts so that it rolls over a little way ahead of here, and tell the axis where it is.
+
+    To be called while the axis is disarmed and at rest.
+    """
+    period = world.service.profile.position_period
+    place = world.drive.position
+    offset = period / 2.0 - place - world.roll_over_in
+    world.change(measure=lambda position: position + offset)

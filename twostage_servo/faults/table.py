@@ -1,0 +1,261 @@
+"""The faults that the axis must meet, as data: what is injected, in which phases, what is expected, and its budget."""
+
+import enum
+from collections.abc import Callable
+from dataclasses import dataclass
+from random import Random
+
+from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
+from twostage_servo.faults import bus_faults, drive_faults, host_faults
+from twostage_servo.faults.budget import Budget
+from twostage_servo.faults.checks import (
+    Check,
+    arrived,
+    bus_error_reported,
+    came_back_disarmed,
+    continuous,
+    ended_with_an_error,
+    expected_after_the_holder,
+    log_dropped,
+    needs_homing,
+    only_off_the_switch,
+    refused_all,
+    rejected_some,
+    still_seen,
+    within_jam_effort,
+)
+from twostage_servo.faults.world import World
+
+
+class Phase(enum.StrEnum):
+    """What the axis does when the fault begins."""
+
+    IDLE = "idle"
+    ACCELERATING = "accelerating"
+    CRUISING = "cruising"
+    CHANGEOVER = "change-over"
+    SETTLING = "settling"
+    HOLDING = "holding"
+
+
+MOVING = (Phase.ACCELERATING, Phase.CRUISING, Phase.CHANGEOVER, Phase.SETTLING)
+ARMED = (*MOVING, Phase.HOLDING)
+ALL = tuple(Phase)
+
+TOLERATED, HELD, STOPPED, QUICK, DISABLED, REFUSED = "T", "H", "S", "Q", "Z", "R"
+MEANINGS = {
+    TOLERATED: "tolerated: the move goes on, what was missing is bridged and counted",
+    HELD: "controlled stop, then the axis holds",
+    STOPPED: "controlled stop, then disabled; latched",
+    QUICK: "quick stop, then disabled; latched",
+    DISABLED: "effort zero and drive disabled at once; latched",
+    REFUSED: "the request is refused",
+}
+
+Inject = Callable[[World, Random], None]
+Bound = Callable[[Budget], float]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault, or one size of it.
+
+    Attributes
+    ----------
+    number
+        Its number in the list of faults.
+    name
+        What happens, in a few words.
+    inject
+        Makes it happen, with a random number generator for what is not given.
+    expected
+        The reaction, one of :data:`MEANINGS`; for some phases another one.
+    bound
+        The largest travel that it may cost, in axis unit.
+    phases
+        Where it can happen.
+    idle
+        What is expected while the axis is disarmed: by default that arming is refused if the fault disables an armed
+        axis, and that nothing else happens if it does not.
+    check
+        What else has to be true at the end.
+    prepare
+        What has to be arranged before the axis is armed.
+    again
+        Whether a second move follows: a fault that does not show while the axis comes to rest shows in the next one.
+    idle_bound
+        The travel that it may cost if it begins while the axis is disarmed, if that is another one.
+    needs
+        Whether the axis' drive and settings have what the fault is about.
+    velocity_limit
+        Whether the move runs at the velocity limit.
+    note
+        What the reader of the matrix should know.
+    """
+
+    number: int
+    name: str
+    inject: Inject
+    expected: str | dict[Phase, str]
+    bound: Bound
+    phases: tuple[Phase, ...] = ALL
+    idle: str | None = None
+    check: Check | None = None
+    prepare: Callable[[World], None] | None = None
+    again: bool = False
+    idle_bound: Bound | None = None
+    needs: Callable[[DriveProfile, ProtocolSettings], bool] = lambda *_: True
+    velocity_limit: bool = False
+    note: str = ""
+
+    def budget(self, phase: Phase, expected: str) -> Bound:
+        """Return what gives the bound in a phase in which a reaction is expected."""
+        if phase is Phase.IDLE and self.idle_bound is not None:
+            return self.idle_bound
+        refused_to_move = expected == REFUSED and self.expected != REFUSED
+        return _unnoticed if refused_to_move else self.bound
+
+    def expectation(self, phase: Phase, policy: str) -> str:
+        """Return the letter of the reaction that is expected in a phase, under a policy for a holder that is lost."""
+        if self.expected == "policy":
+            return expected_after_the_holder(policy) if phase in MOVING else TOLERATED
+        if phase is Phase.IDLE:
+            if self.idle is not None:
+                return self.idle
+            if self.expected in {TOLERATED, REFUSED}:
+                return str(self.expected)
+            return REFUSED
+        return self.expected if isinstance(self.expected, str) else self.expected.get(phase, TOLERATED)
+
+
+def _bridged(budget: Budget) -> float:
+    return budget.bridged()
+
+
+def _unnoticed(budget: Budget) -> float:
+    return budget.unnoticed()
+
+
+def _followed(budget: Budget) -> float:
+    return budget.followed()
+
+
+def _stale(budget: Budget) -> float:
+    return budget.stale()
+
+
+def _at_once(budget: Budget) -> float:
+    return budget.coasting(budget.noticing_s(0))
+
+
+def _errors(budget: Budget) -> float:
+    return budget.quick_stop(budget.noticing_s(budget.limits.feedback_errors))
+
+
+def _heartbeat(budget: Budget) -> float:
+    return budget.coasting(budget.limits.heartbeat_ms / 1e3 + budget.noticing_s(0))
+
+
+def _command_timeout(budget: Budget) -> float:
+    return budget.coasting(budget.command_timeout_s + budget.noticing_s(1))
+
+
+def _retargeted(budget: Budget) -> float:
+    return budget.followed() + host_faults.LARGEST_RETARGET * budget.reference.length()
+
+
+def _stalled(duration_s: float) -> Bound:
+    def bound(budget: Budget) -> float:
+        if duration_s > budget.command_timeout_s:
+            return _command_timeout(budget)
+        return budget.quick_stop(duration_s + budget.noticing_s(0))
+
+    return bound
+
+
+_D, _H = drive_faults, host_faults
+
+TABLE: tuple[Fault, ...] = (
+    # The bus
+    Fault(1, "one frame lost", bus_faults.lose(1), TOLERATED, _bridged),
+    Fault(2, "as many frames lost in a row as the limit", bus_faults.lose_as_many_as_the_limit, QUICK, _stale,
+          idle=TOLERATED),
+    Fault(3, "5 % of the frames lost", bus_faults.lose_at_random, TOLERATED, _bridged),
+    Fault(4, "frames doubled", bus_faults.double, TOLERATED, _bridged),
+    Fault(5, "two frames in the wrong order", bus_faults.reorder, TOLERATED, _bridged),
+    Fault(6, "frames 10 to 90 % of a tick late", bus_faults.delay_within_a_tick, TOLERATED, _bridged),
+    Fault(7, "a frame more than a tick late", bus_faults.delay_beyond_a_tick, TOLERATED, _bridged),
+    Fault(8, "queue full, one command", bus_faults.refuse_to_send(1), TOLERATED, _followed),
+    Fault(8, "queue full, two commands", bus_faults.refuse_to_send(2), QUICK,
+          lambda budget: budget.quick_stop(budget.noticing_s(2)), idle=TOLERATED),
+    Fault(9, "controller error-passive", bus_faults.error_passive, TOLERATED, _unnoticed, check=bus_error_reported),
+    Fault(10, "bus-off", bus_faults.bus_off, DISABLED, _command_timeout, check=came_back_disarmed, idle=TOLERATED),
+    Fault(11, "interface down, or unplugged", bus_faults.interface_down, DISABLED, _command_timeout,
+          check=came_back_disarmed, idle=TOLERATED),
+    Fault(12, "a node babbles", bus_faults.babble, TOLERATED, _unnoticed),
+    Fault(13, "another node commands the drive", bus_faults.foreign_command, DISABLED, _at_once, idle=REFUSED),
+    Fault(14, "wrong length, kind and identifier", bus_faults.malformed, TOLERATED, _bridged, check=rejected_some),
+    Fault(15, "checksum wrong from now on", bus_faults.corrupt, QUICK, _stale, check=rejected_some),
+    Fault(15, "counter stands still", _D.repeat_counter, QUICK, _stale),
+    Fault(16, "transmit dead, receive alive", bus_faults.transmit_dead, DISABLED, _command_timeout, idle=DISABLED,
+          note="the drive's own time-out stops it"),
+    # The encoder
+    Fault(17, "counter rolls over", lambda *_: None, TOLERATED, _unnoticed, prepare=_D.roll_over_ahead,
+          needs=lambda profile, _: profile.position_period > 0.0),
+    Fault(18, "a single spike", _D.spike, TOLERATED, _bridged),
+    Fault(19, "a jump that stays", _D.jump, QUICK, lambda budget: budget.implausible(), idle=TOLERATED,
+          idle_bound=lambda budget: _D.LARGEST_JUMP * budget.limits.innovation + budget.followed(),
+          check=needs_homing, note="while disarmed it cannot be told from a push by hand"),
+    Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
+          again=True),
+    Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
+          again=True),
+    Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK, again=True),
+    Fault(23, "position invalid", _D.not_a_number, QUICK, _stale),
+    Fault(24, "slow drift", _D.drift, TOLERATED, _followed,
+          note="cannot be observed with one encoder: the axis follows it"),
+    Fault(25, "coarse steps: limit cycle", _D.coarse, TOLERATED, _bridged),
+    # Drive and plant
+    Fault(26, "fault bit", _D.fault_bit, DISABLED, _at_once),
+    Fault(27, "drive reboots", _D.reboot, DISABLED, _at_once, check=needs_homing,
+          needs=lambda profile, _: profile.heartbeat_id is not None),
+    Fault(28, "drive ignores the effort", _D.ignore_effort, QUICK,
+          lambda budget: budget.runaway(budget.noticing_s(0)), idle=QUICK, again=True,
+          note="the quick stop cannot work, so the drive is disabled in the end"),
+    Fault(29, "effort saturates: speed unreachable", _D.too_weak,
+          {Phase.ACCELERATING: STOPPED, Phase.CRUISING: STOPPED, Phase.HOLDING: STOPPED},
+          lambda budget: budget.stopping(
+              budget.limits.effort_saturation_ms / 1e3 + 1.0, budget.limits.acceleration
+          ),
+          idle=STOPPED, velocity_limit=True, phases=(Phase.IDLE, Phase.ACCELERATING, Phase.CRUISING, Phase.HOLDING)),
+    Fault(30, "jam", _D.jam, QUICK, _unnoticed, idle=QUICK, again=True, check=within_jam_effort),
+    Fault(31, "a load steps", _D.load_step, TOLERATED, _followed, phases=ARMED, check=arrived),
+    Fault(32, "gain and pole 20 % off, friction", _D.another_plant, TOLERATED, _followed, check=arrived),
+    Fault(33, "safe torque off", _D.safe_torque_off, DISABLED, _at_once, check=still_seen,
+          needs=lambda _, protocol: protocol.feedback.safe_torque_off is not False),
+    Fault(34, "limit switch ahead", _D.limit_switch, {**dict.fromkeys(MOVING, QUICK), Phase.HOLDING: REFUSED},
+          lambda budget: budget.quick_stop(budget.noticing_s(0)), idle=REFUSED, check=only_off_the_switch,
+          needs=lambda _, protocol: protocol.feedback.positive_limit is not False),
+    Fault(35, "heartbeat stops", _D.heartbeat_stops, DISABLED, _heartbeat,
+          needs=lambda profile, _: profile.heartbeat_id is not None),
+    # The host
+    Fault(36, "host held up for 15 ms", _H.stall(0.015), TOLERATED, _followed),
+    Fault(36, "host held up for 50 ms", _H.stall(0.050), QUICK, _stalled(0.050), idle=TOLERATED),
+    Fault(36, "host held up for 500 ms", _H.stall(0.500), QUICK, _stalled(0.500), idle=TOLERATED),
+    Fault(40, "a defect in the loop", _H.defect, QUICK,
+          lambda budget: budget.quick_stop(budget.noticing_s(0)), idle=REFUSED, check=ended_with_an_error),
+    Fault(41, "processor hogged: every tick late", _H.hog, TOLERATED, _followed),
+    # Operator and configuration
+    Fault(43, "set-points out of range, NaN, infinite", _H.bad_set_points, REFUSED, _unnoticed, check=refused_all),
+    Fault(44, "set-point in mid-move", _H.retarget, TOLERATED, _retargeted, phases=MOVING, check=continuous),
+    Fault(45, "two clients", _H.second_client, REFUSED, _unnoticed, check=refused_all),
+    Fault(46, "the client that commands dies", _H.client_dies, "policy", lambda budget: budget.stopping(
+        budget.noticing_s(0), budget.limits.acceleration)),
+    Fault(49, "reload while armed", _H.reload, REFUSED, _unnoticed, phases=ARMED, check=refused_all),
+    # Clock, disk, network
+    Fault(50, "wall clock jumps by an hour", _H.wall_clock_jumps, TOLERATED, _unnoticed),
+    Fault(51, "disk full", _H.full_disk, TOLERATED, _unnoticed),
+    Fault(52, "log sink blocks", _H.blocked_log, TOLERATED, _unnoticed, check=log_dropped),
+    Fault(53, "control socket flooded, slow readers", _H.flood, TOLERATED, _unnoticed),
+)  # fmt: skip
+"""All but the faults that need processes (37, 38, 39, 42, 54), and those of the configuration (47, 48)."""

@@ -1,0 +1,224 @@
+"""The running service, its drive, its bus and its clients in simulated time, each of which can be made to fail."""
+
+import asyncio
+import functools
+import math
+import tempfile
+import threading
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from twostage_servo.axis.axis import Axis
+from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.service.assembly import build_service
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.simulation.bus import Wire
+from twostage_servo.simulation.drive import SimulatedDrive
+from twostage_servo.simulation.node import DriveNode
+from twostage_servo.ticks import Tick, Ticks
+
+if TYPE_CHECKING:
+    from twostage_servo.service.log import LogWriter
+    from twostage_servo.service.loop import ServoService
+
+SERVICE, DRIVE = "service", "drive"
+"""Names of the two nodes on the wire."""
+
+_BUS = BusSettings(interface="socketcan", channel="can0", reopen_interval_ms=50.0)
+"""What the simulated bus stands for: its error frames are those of Linux' SocketCAN."""
+
+
+class Sample(NamedTuple):
+    """The true axis and what the service did, at one tick; axis unit, axis unit/s, effort unit, s."""
+
+    time_s: float
+    position: float
+    velocity: float
+    effort: float
+    state: str
+
+
+class HeldTicks(Ticks):
+    """Ticks that a busy host serves late: `hold` gives the time in s by which the next one is held up."""
+
+    __slots__ = ("hold",)
+
+    def __init__(self, period_s: float) -> None:
+        super().__init__(period_s)
+        self.hold: Callable[[], float] | None = None
+
+    async def __anext__(self) -> Tick:
+        """Wait for the next deadline, and for the host."""
+        held_s = self.hold() if self.hold is not None else 0.0
+        if held_s > 0.0 and self._start_s is not None:
+            loop = asyncio.get_running_loop()
+            await asyncio.sleep(self._start_s + (self._index + 1) * self.period_s - loop.time() + held_s)
+        return await super().__anext__()
+
+
+class World:
+    """One axis in operation. Made by :func:`operate`.
+
+    Attributes
+    ----------
+    service, drive, wire, ticks
+        The parts, each with its own ways to fail.
+    wall_offset_s
+        How far the clock that stamps the frames has been set, in s.
+    samples, keeps_samples
+        The true axis, a sample a tick; and whether they are kept.
+    serving
+        The service's task.
+    start, target, velocity
+        The move that is under way or next, in axis unit and axis unit/s.
+    roll_over_in
+        How far ahead the encoder shall roll over, in axis unit.
+    refusals
+        Answers to what clients have asked: the code of each refusal, None for what was carried out.
+    log
+        A log that stands in for the usual one, with a reader that stands still until `log_released` is set.
+    """
+
+    def __init__(self, loaded: LoadedConfig[Config]) -> None:
+        loop = asyncio.get_running_loop()
+        self.wall_offset_s = 0.0
+        self.wire = Wire(lambda: loop.time() + self.wall_offset_s)
+        self.service: ServoService = build_service(loaded, _BUS, functools.partial(self.wire.attach, SERVICE))
+        self.ticks = HeldTicks(self.service.ticks.period_s)
+        self.service.ticks = self.ticks
+        self.service.publishers.append(self._on_tick)
+        settings = loaded.config.simulation
+        self.drive = SimulatedDrive(settings, self.service.profile, loop.time())
+        link = Link(_BUS, self.service.profile.drive_identifiers, functools.partial(self.wire.attach, DRIVE))
+        self.node = DriveNode(self.drive, link, settings.cycle_ms / 1e3)
+        self.samples: list[Sample] = []
+        self.keeps_samples = True
+        self.serving: asyncio.Task[None] | None = None
+        self.start = self.target = self.velocity = 0.0
+        self.roll_over_in = 0.0
+        self.refusals: list[str | None] = []
+        self.log: LogWriter | None = None
+        self.log_released = threading.Event()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._socket: ControlSocket | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
+
+    @property
+    def axis(self) -> Axis:
+        """The axis."""
+        return self.service.axis
+
+    @property
+    def now_s(self) -> float:
+        """The simulated time in s."""
+        return asyncio.get_running_loop().time()
+
+    @property
+    def period_s(self) -> float:
+        """The tick in s."""
+        return self.ticks.period_s
+
+    def change(self, **faults: Any) -> None:
+        """Let faults of the drive begin or end now; see :class:`~twostage_servo.simulation.faults.DriveFaults`."""
+        self.drive.change(self.now_s, **faults)
+
+    @property
+    def heading(self) -> float:
+        """The direction in which the axis moves, or will: 1 or -1."""
+        return math.copysign(1.0, self.target - self.start)
+
+    def place(self) -> float:
+        """Return the true position at this very moment, in axis unit."""
+        self.change()
+        return self.drive.position
+
+    def later(self, delay_s: float, act: Callable[[], object]) -> None:
+        """Do something after a simulated time in s."""
+        asyncio.get_running_loop().call_later(delay_s, act)
+
+    def spawn(self, work: Coroutine[Any, Any, None]) -> None:
+        """Let a client work beside the service, until it is done or the world ends."""
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    @asynccontextmanager
+    async def client(self) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+        """Connect to the service's control socket, which is served from the first client on."""
+        if self._socket is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="twostage-servo-")
+            self._socket = control = ControlSocket(
+                Path(self._folder.name) / "control.sock", self.service.handle, self.service.desk.leave
+            )
+            self.service.publishers.append(lambda tick: control.publish(tick.index, self.service.snapshot))
+            await self._socket.start()
+        reader, writer = await asyncio.open_unix_connection(str(self._socket.path), limit=1 << 20)
+        try:
+            yield reader, writer
+        finally:
+            writer.close()
+
+    async def close(self) -> None:
+        """End the clients, and let the log's reader go on."""
+        for task in list(self._tasks):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        if self._socket is not None:
+            await self._socket.stop()
+        if self._folder is not None:
+            self._folder.cleanup()
+        self.log_released.set()
+        if self.log is not None:
+            self.log.close()
+
+    async def until(self, condition: Callable[[], bool], longest_s: float) -> bool:
+        """Wait, tick by tick, until a condition holds, for a simulated time in s at most; return whether it does."""
+        loop = asyncio.get_running_loop()
+        future: asyncio.Future[bool] = loop.create_future()
+        self._waiting = (condition, future, loop.time() + longest_s)
+        # A service that has ended, or is held up, makes no ticks any more.
+
+        def give_up() -> None:
+            if not future.done():
+                future.set_result(condition())
+
+        timer = loop.call_later(longest_s + 1.0, give_up)
+        try:
+            return await future
+        finally:
+            timer.cancel()
+            self._waiting = None
+
+    async def seconds(self, duration_s: float) -> None:
+        """Let simulated time pass."""
+        await asyncio.sleep(duration_s)
+
+    def _on_tick(self, _: Tick) -> None:
+        now_s = self.now_s
+        drive, effort = self.drive, self.service.command.effort
+        if self.keeps_samples:
+            self.samples.append(Sample(now_s, drive.position, drive.velocity, effort, str(self.axis.state)))
+        if self._waiting is not None:
+            condition, future, deadline_s = self._waiting
+            if not future.done() and (condition() or now_s >= deadline_s):
+                future.set_result(condition())
+
+
+@asynccontextmanager
+async def operate(loaded: LoadedConfig[Config]) -> AsyncIterator[World]:
+    """Run service and drive on the running loop, which has to be in simulated time, until the block ends."""
+    world = World(loaded)
+    driving = asyncio.create_task(world.node.run())
+    world.serving = asyncio.create_task(world.service.run())
+    try:
+        yield world
+    finally:
+        await world.close()
+        world.service.shut_down()
+        await asyncio.gather(world.serving, return_exceptions=True)
+        world.node.stop()
+        await driving
