@@ -4,16 +4,24 @@ import re
 import shlex
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 import pytest
+from can import Message
 
-from twostage_servo.canbus.profile import DriveProfile
+from twostage_servo.axis.state import State
+from twostage_servo.canbus.profile import DriveProfile, Feedback
 from twostage_servo.canbus.protocol import ProtocolSettings
 from twostage_servo.cli.main import build_parser
+from twostage_servo.config import load
 from twostage_servo.paper.errata import errata_table
+from twostage_servo.service.assembly import build_service
+from twostage_servo.service.requests import Request
+from twostage_servo.service.settings import ServiceSettings
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
+CONTROL_SOCKET = (ROOT / "docs" / "control-socket.md").read_text(encoding="utf-8")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 ANOTHER_DRIVE = """
@@ -27,11 +35,18 @@ BO_ 257 EncoderStatus: 5 Drive
  SG_ ActualPosition : 0|32@1- (1,0) [-2147483648|2147483647] "count" Controller
  SG_ OperationEnabled : 32|1@1+ (1,0) [0|1] "" Controller
  SG_ Fault : 33|1@1+ (1,0) [0|1] "" Controller
+ SG_ RightSwitch : 34|1@1+ (1,0) [0|1] "" Controller
+ SG_ LeftSwitch : 35|1@1+ (1,0) [0|1] "" Controller
 """
 
 
 def blocks(text: str, language: str) -> list[str]:
     return [block.strip() for block in re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)]
+
+
+def section(title: str) -> str:
+    """A section of the page on the control socket."""
+    return CONTROL_SOCKET.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
 
 
 def test_the_readme_opens_with_the_two_commands_on_a_line_each() -> None:
@@ -67,6 +82,41 @@ def test_every_verb_is_in_the_readme_and_every_one_takes_json() -> None:
         assert "--json" in verb_parser.format_help()
 
 
+def test_every_request_state_and_field_is_in_the_page_on_the_control_socket() -> None:
+    operations = {get_args(model.model_fields["op"].annotation)[0] for model in get_args(Request)}
+    assert set(re.findall(r'`\{"op": "(\w+)"', CONTROL_SOCKET)) == operations
+    for state in State:
+        assert f"`{state}`" in CONTROL_SOCKET
+    snapshot = build_service(load(None)).snapshot()
+    groups = {name for name, value in snapshot.items() if isinstance(value, dict)} | {"move", "trip"}
+    assert set(re.findall(r"^\| `(\w+)` \|", section("The snapshot"), re.MULTILINE)) == groups
+    for name in (*snapshot["inputs"], *snapshot["lease"], "rejected_by_reason", "file_error", "escalation"):
+        assert f"`{name}`" in CONTROL_SOCKET
+
+
+def test_every_refusal_is_in_the_page_on_the_control_socket() -> None:
+    documented = {
+        code
+        for row in re.findall(r"^\| (`.*?) \|", section("Refusals"), re.MULTILINE)
+        for code in re.findall(r"`(\w+)`", row)
+    }
+    sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "twostage_servo").rglob("*.py"))
+    raised = set(re.findall(r'(?:Refused|_failure)\(\s*"(\w+)"', sources))
+    arming = (ROOT / "twostage_servo" / "axis").glob("*.py")
+    raised |= {
+        code for path in arming for code in re.findall(r'return \(?\s*"(\w+)",\s', path.read_text(encoding="utf-8"))
+    }
+    raised |= {"heartbeat_lost", "feedback_errors"}  # troubles that would trip at once
+    assert raised <= documented
+    assert documented <= raised, "documented, but never raised"
+
+
+def test_the_policies_for_a_lost_holder_are_all_explained() -> None:
+    policies = get_args(ServiceSettings.model_fields["holder_lost"].annotation)
+    explained = re.findall(r'^\| `"(\w+)"` \|', CONTROL_SOCKET, re.MULTILINE)
+    assert explained == list(policies)
+
+
 def test_the_shipped_configurations_are_listed() -> None:
     listed = set(re.findall(r"`(\w+\.toml)`", README[README.index("| shipped configuration") :]))
     assert listed == {path.name for path in (ROOT / "config").glob("*.toml")}
@@ -85,10 +135,15 @@ def test_the_example_of_another_drive_compiles(tmp_path: Path) -> None:
     settings = ProtocolSettings.model_validate(tomllib.loads(example)["protocol"])
     profile = DriveProfile.compile(settings, tmp_path, "mm")
     assert profile.encode_command(-1.5, enable=True, counter=0).hex() == "6aff0104"
-    assert profile.heartbeat_id is None
+    assert (profile.index_id, profile.heartbeat_id) == (None, None)
+    assert profile.sampling == "cyclic"
+    assert profile.position_period == pytest.approx(2**32 * 0.001)
+    status = Message(arbitration_id=257, is_extended_id=False, data=bytes.fromhex("18fcffff 05"))
+    expected = Feedback(-1.0, None, True, False, None, positive_limit=True, negative_limit=False)
+    assert profile.decode_feedback(status) == expected
 
 
 def test_the_derivation_holds_the_list_of_errata() -> None:
     page = (ROOT / "docs" / "law.md").read_text(encoding="utf-8")
     table = page[page.index("<!-- errata: begin -->\n") : page.index("<!-- errata: end -->")]
-    assert table == f"<!-- errata: begin -->\n{errata_table()}\n", "run tools/write_errata_table.py"
+    assert table == f"<!-- errata: begin -->\n{errata_table()}\n", "run tools/write_tables.py"

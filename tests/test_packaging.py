@@ -22,8 +22,9 @@ MAY_IMPORT = {
     "canbus": {"control"},
     "simulation": {"canbus", "control"},
     "service": {"axis", "canbus", "control", "config"},
+    "faults": {"axis", "canbus", "control", "simulation", "service", "config"},
     "paper": {"control"},
-    "cli": {"axis", "canbus", "control", "simulation", "service", "config", "paper"},
+    "cli": {"axis", "canbus", "control", "simulation", "service", "config", "faults", "paper"},
     # config only composes the rooms' settings; it may take nothing else from them (see below).
     "config": {"axis", "canbus", "simulation", "service", "config_problems", "settings_reference", "toml_lines"},
     "config_problems": {"settings_reference", "toml_lines"},

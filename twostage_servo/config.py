@@ -129,6 +129,8 @@ def _refuse(file: str, message: str, line: int | None = None, key: str = "") -> 
 
 def _read(path: Path) -> str:
     try:
+        if path.exists() and not path.is_file() and not path.is_dir():
+            _refuse(str(path), "this is a device, a pipe or a socket; name a TOML file")  # reading it might never end
         with path.open("rb") as file:
             content = file.read(LARGEST_FILE_BYTES + 1)
     except FileNotFoundError:
@@ -162,7 +164,9 @@ def _parse(source: str, text: str) -> tuple[dict[str, Any], dict[toml_lines.Path
     except RecursionError:
         _refuse(source, "lists or tables are nested too deeply; a configuration needs three levels")
     except ValueError as error:  # an integer of thousands of digits
-        _refuse(source, f"holds a value that cannot be read: {str(error).partition(';')[0]}")
+        digits = re.search(r"\d{4000,}", text)  # the only value that tomllib takes for one and Python does not
+        line = text.count("\n", 0, digits.start()) + 1 if digits else None
+        _refuse(source, f"holds a value that cannot be read: {str(error).partition(';')[0]}", line)
     if not data:
         _refuse(source, "there is no setting in this file; start from a copy of demo.toml")
     return data, lines

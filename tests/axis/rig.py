@@ -6,7 +6,7 @@ from typing import Any
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import Command
+from twostage_servo.axis.messages import Command, Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.control.plant import Plant
@@ -31,22 +31,32 @@ DEMO: dict[str, Any] = {
         "effort_saturation_ms": 500.0,
         "following_error_minimum": 10.0,
         "following_error_time_s": 0.2,
+        "effort_rate": 1000.0,
+        "innovation": 0.5,
+        "innovation_time_ms": 3.0,
+        "jam_effort": 2.5,
+        "jam_time_ms": 50.0,
         "stale_feedback_ms": 30.0,
-        "missed_ticks": 5,
+        "feedback_errors": 25,
+        "heartbeat_ms": 300.0,
+        "missed_ticks": 2,
     },
     "window": {"position": 0.05, "time_ms": 100.0},
 }
 
 
-def axis_settings(**limits: float) -> AxisSettings:
-    return AxisSettings.model_validate(DEMO | {"limits": DEMO["limits"] | limits})
+def axis_settings(
+    homing: dict[str, Any] | None = None, approach: dict[str, Any] | None = None, **limits: float
+) -> AxisSettings:
+    tables = {"limits": DEMO["limits"] | limits, "homing": homing or {}, "approach": approach or {}}
+    return AxisSettings.model_validate(DEMO | tables)
 
 
 @dataclass
 class AxisRig:
     """Drives an axis and its plant. `sees` changes what the axis is told of the true position."""
 
-    axis: Axis = field(default_factory=lambda: Axis(design_axis(axis_settings(), PERIOD_S), 16))
+    axis: Axis = field(default_factory=lambda: Axis(design_axis(axis_settings(), PERIOD_S), 16, resolution=0.001))
     plant: Plant = field(default_factory=lambda: Plant(180.0, 14.0))
     load: float = 0.0
     position: float = 0.0
@@ -57,6 +67,7 @@ class AxisRig:
     silent: bool = False
     enabled: bool = False
     fault_code: int | None = None
+    inputs: dict[str, Any] = field(default_factory=dict)
     enables: bool = True
     sees: Callable[[float], float] = field(default=lambda position: position)
     commands: list[Command] = field(default_factory=list)
@@ -73,7 +84,7 @@ class AxisRig:
         self.axis.begin_tick(self.tick_index, missed)
         if not self.silent:
             self.counter = (self.counter + 1) % 16
-            self.axis.take_feedback(self.sample, self.counter, self.enabled, self.fault_code)
+            self.axis.take_feedback(Feedback(self.sample, self.counter, self.enabled, self.fault_code, **self.inputs))
         command = self.axis.step()
         self.enabled = command.enable and self.enables
         self.sample = self.sees(self.position)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import DesignError, design_axis
-from twostage_servo.axis.messages import NO_EFFORT, Refused
+from twostage_servo.axis.messages import NO_EFFORT, Feedback, Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import ENABLED, State
 from twostage_servo.axis.trips import RULES, Reaction, TripCode
@@ -19,7 +19,7 @@ from twostage_servo.control.plant import Plant
 
 
 def rig_with(**limits: float) -> AxisRig:
-    return AxisRig(Axis(design_axis(axis_settings(**limits), PERIOD_S), 16))
+    return AxisRig(Axis(design_axis(axis_settings(None, None, **limits), PERIOD_S), 16, resolution=0.001))
 
 
 def refusal(rig: AxisRig, request: str, *arguments: float) -> Refused:
@@ -146,7 +146,7 @@ def test_stop_comes_to_rest_and_holds() -> None:
     assert rig.state() is State.HOLDING
     assert rig.axis.move is not None
     assert rig.axis.move.outcome == "stopped"
-    assert at < rig.position < at + 25.0
+    assert at + 1.25 < rig.position < at + rig.axis.design.stopping_distance(100.0, 2000.0)
     rig.seconds(3.0)
     assert abs(rig.velocity) < 0.01
 
@@ -157,7 +157,7 @@ def test_disarm_in_mid_move_brakes_before_it_disables() -> None:
     before = len(rig.commands)
     rig.seconds(1.0)
     braking = [command for command in rig.commands[before:] if command.enable]
-    assert 10 < len(braking) < 60
+    assert 5 <= len(braking) <= 30  # 100 mm/s at 2000 mm/s2 take five ticks
     assert rig.state() is State.DISARMED
     assert abs(rig.velocity) < 2.0
 
@@ -184,7 +184,7 @@ def cause_of(rig: AxisRig) -> str:
     return rig.axis.trip.cause
 
 
-def test_stale_feedback_disables() -> None:
+def test_stale_feedback_is_met_by_a_quick_stop_on_the_model() -> None:
     rig = AxisRig().cruising()
     rig.silent = True
     rig.seconds(0.02)
@@ -192,8 +192,11 @@ def test_stale_feedback_disables() -> None:
     assert rig.axis.move.outcome == "moving"
     rig.tick()
     assert trip_of(rig) is TripCode.STALE_FEEDBACK
+    assert rig.state() is State.TRIPPED_QUICK_STOP
+    rig.seconds(0.2)
     assert rig.state() is State.TRIPPED
     assert rig.commands[-1] == NO_EFFORT
+    assert abs(rig.velocity) < 1.0  # the model brakes as well as the feedback would
     assert "for 30 ms" in cause_of(rig)
 
 
@@ -207,18 +210,19 @@ def test_one_lost_frame_is_bridged() -> None:
     assert rig.position == pytest.approx(400.0, abs=0.05)
 
 
-def test_a_jam_trips_on_the_following_error_and_brakes() -> None:
+def test_a_frozen_encoder_is_noticed_within_two_samples_at_speed() -> None:
     rig = AxisRig().cruising()
-    rig.sees = lambda _: rig.sample
+    at, frozen = rig.position, rig.sample
+    rig.sees = lambda _: frozen
     rig.seconds(0.5)
-    assert trip_of(rig) in {TripCode.FOLLOWING_ERROR, TripCode.OVERSPEED}
-    rig.seconds(0.5)
+    assert trip_of(rig) is TripCode.POSITION_JUMP
     assert rig.state() is State.TRIPPED
+    assert rig.position - at < 8.0
     assert rig.axis.move is not None
     assert rig.axis.move.outcome == "tripped"
 
 
-def test_an_encoder_turned_round_is_stopped_within_15_mm() -> None:
+def test_an_encoder_turned_round_is_stopped_within_a_millimetre() -> None:
     rig = AxisRig()
     rig.sees = lambda position: -position
     rig.armed()
@@ -226,33 +230,37 @@ def test_an_encoder_turned_round_is_stopped_within_15_mm() -> None:
     rig.seconds(2.0)
     assert rig.axis.trip is not None
     assert rig.state() is State.TRIPPED
-    travelled_at_trip = abs(rig.position)
-    rig.seconds(2.0)
-    assert abs(rig.position) < travelled_at_trip + 1.0
+    assert trip_of(rig) is TripCode.SIGN_REVERSED
+    assert abs(rig.position) < 2.0
 
 
 def test_a_load_that_the_effort_cannot_hold_trips_on_saturation() -> None:
-    rig = rig_with(following_error_minimum=1e6)
+    rig = rig_with(following_error_minimum=1e6, innovation=1e3)
     rig.cruising()
     rig.load = 16.5
     rig.seconds(4.0)
-    assert trip_of(rig) is TripCode.EFFORT_SATURATED
+    assert trip_of(rig) is TripCode.SPEED_UNREACHABLE
     assert "500 ms" in cause_of(rig)
+    rig.seconds(1.0)
+    rig = rig_with(following_error_minimum=1e6, innovation=1e3).armed()
+    rig.load = 26.0
+    rig.seconds(4.0)
+    assert trip_of(rig) is TripCode.EFFORT_SATURATED
 
 
 def test_overspeed_disables_at_once() -> None:
-    rig = rig_with(following_error_minimum=1e6)
+    rig = rig_with(following_error_minimum=1e6, innovation=1e3)
     rig.cruising(2000.0, 250.0)
     rig.load = -20.0
     rig.seconds(1.0)
     assert trip_of(rig) is TripCode.OVERSPEED
     tripped = rig.states.index(State.TRIPPED)
-    assert State.QUICK_STOP not in rig.states
+    assert State.TRIPPED_QUICK_STOP not in rig.states
     assert all(command == NO_EFFORT for command in rig.commands[tripped:])
 
 
 def test_leaving_the_position_limits_trips() -> None:
-    rig = rig_with(following_error_minimum=1e6, effort_saturation_ms=60_000.0)
+    rig = rig_with(following_error_minimum=1e6, effort_saturation_ms=60_000.0, innovation=1e3)
     rig.armed()
     rig.axis.move_to(2500.0, 250.0)
     rig.seconds(14.0)
@@ -261,12 +269,14 @@ def test_leaving_the_position_limits_trips() -> None:
     assert trip_of(rig) is TripCode.POSITION_LIMIT
 
 
-def test_a_position_that_is_not_a_number_trips() -> None:
+def test_a_position_that_is_not_a_number_counts_as_a_rejected_frame() -> None:
     rig = AxisRig().cruising()
+    rig.sees = lambda _: math.nan
     rig.sample = math.nan
     rig.tick()
-    assert trip_of(rig) is TripCode.NOT_FINITE
-    assert rig.commands[-1] == NO_EFFORT
+    assert (rig.axis.trip, rig.axis.drive.monitor.rejected) == (None, 1)
+    rig.seconds(0.02)
+    assert trip_of(rig) is TripCode.STALE_FEEDBACK
 
 
 def test_a_drive_fault_and_a_drive_that_drops_out_disable() -> None:
@@ -290,7 +300,7 @@ def test_too_many_missed_ticks_trip_and_a_few_do_not() -> None:
     rig.cruising()
     rig.tick(missed=6)
     assert trip_of(rig) is TripCode.MISSED_TICKS
-    assert rig.state() is State.QUICK_STOP
+    assert rig.state() is State.TRIPPED_QUICK_STOP
     rig.seconds(1.0)
     assert rig.state() is State.TRIPPED
 
@@ -312,11 +322,13 @@ def test_a_trip_is_latched_until_reset_and_then_needs_arming() -> None:
 def test_the_first_trip_stays_and_the_more_severe_reaction_wins() -> None:
     rig = AxisRig().cruising()
     rig.axis.raise_trip(TripCode.FOLLOWING_ERROR, "first")
-    assert rig.state() is State.QUICK_STOP
+    assert rig.state() is State.TRIPPED_QUICK_STOP
     assert refusal(rig, "reset").code == "busy"
     rig.axis.raise_trip(TripCode.OVERSPEED, "second")
     assert rig.state() is State.TRIPPED
     assert cause_of(rig) == "first"
+    assert rig.axis.escalation is not None
+    assert rig.axis.escalation.cause == "second"
     assert rig.tick() == NO_EFFORT
 
 
@@ -344,7 +356,7 @@ def test_every_trip_says_what_to_do_next() -> None:
     assert set(RULES) == set(TripCode)
     for code, rule in RULES.items():
         assert rule.reaction in Reaction, code
-        assert "reset" in rule.next_action, code
+        assert "reset" in rule.next_action or "started again" in rule.next_action, code
 
 
 @settings(max_examples=60, deadline=None)
@@ -388,15 +400,15 @@ def test_whatever_happens_the_effort_stays_in_its_limits(requests: list[tuple[ob
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_limits_hold_in_both_directions(direction: float) -> None:
-    fast = rig_with(following_error_minimum=1e6).cruising(direction * 2000.0, 250.0)
+    fast = rig_with(following_error_minimum=1e6, innovation=1e3).cruising(direction * 2000.0, 250.0)
     fast.load = direction * -20.0
     fast.seconds(1.0)
     assert trip_of(fast) is TripCode.OVERSPEED
-    held = AxisRig().cruising(direction * 400.0)
+    held = rig_with(innovation=1e3).cruising(direction * 400.0)
     held.load = direction * 20.0
     held.seconds(1.0)
     assert trip_of(held) is TripCode.FOLLOWING_ERROR
-    pushed = rig_with(following_error_minimum=1e6, effort_saturation_ms=60_000.0).armed()
+    pushed = rig_with(following_error_minimum=1e6, effort_saturation_ms=60_000.0, innovation=1e3).armed()
     pushed.axis.move_to(direction * 2500.0, 250.0)
     pushed.seconds(14.0)
     pushed.load = direction * -26.0
@@ -470,14 +482,14 @@ def test_arming_a_moving_axis_catches_it(velocity: float) -> None:
     assert rig.state() is State.HOLDING
     assert rig.axis.trip is None
     efforts = [command.effort for command in rig.commands]
-    assert max(abs(after - before) for before, after in itertools.pairwise(efforts)) < 2.0
+    assert max(abs(after - before) for before, after in itertools.pairwise(efforts)) < 10.0 + 1e-9  # 1000 V/s
 
 
 def test_a_fault_is_not_overwritten_by_a_later_frame_of_the_same_tick() -> None:
     rig = AxisRig().cruising()
     rig.axis.begin_tick(rig.tick_index + 1, 0)
-    rig.axis.take_feedback(rig.sample, rig.counter + 1, enabled=False, fault_code=7)
-    rig.axis.take_feedback(rig.sample, rig.counter + 2, enabled=True, fault_code=None)
+    rig.axis.take_feedback(Feedback(rig.sample, rig.counter + 1, enabled=False, fault_code=7))
+    rig.axis.take_feedback(Feedback(rig.sample, rig.counter + 2, enabled=True))
     assert rig.axis.step() == NO_EFFORT
     assert trip_of(rig) is TripCode.DRIVE_FAULT
 

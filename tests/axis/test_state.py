@@ -1,85 +1,96 @@
-"""The state machine, over every state and every event."""
+"""The state machine, over every state and every event, against the rules that it has to keep."""
 
-import itertools
+from pathlib import Path
 
 import pytest
 
-from twostage_servo.axis.state import DRIVEN, ENABLED, MOVING, TRANSITIONS, Event, State, next_state
+from twostage_servo.axis.state import BRAKING, CIA402, DRIVEN, ENABLED, LATCHED, Event, State, next_state, transition_table
+from twostage_servo.axis.trips import EVENTS, Reaction, trip_table
 
-S, E = State, Event
-
-# Written down by hand, a row a state, so that a changed transition has to be changed here as well.
-EXPECTED: dict[State, dict[Event, State]] = {
-    S.DISARMED: {E.ARM: S.ARMING, E.DISARM: S.DISARMED, E.RESET: S.DISARMED},
-    S.ARMING: {
-        E.ENABLED: S.HOLDING,
-        E.ENABLED_MOVING: S.STOPPING,
-        E.DISARM: S.DISARMED,
-        E.TRIP_QUICK_STOP: S.TRIPPED,
-        E.TRIP_DISABLE: S.TRIPPED,
-    },
-    S.HOLDING: {
-        E.DISARM: S.DISARMED,
-        E.MOVE_SPEED: S.SPEED_STAGE,
-        E.MOVE_POSITION: S.POSITION_STAGE,
-        E.STOP: S.HOLDING,
-        E.TRIP_QUICK_STOP: S.QUICK_STOP,
-        E.TRIP_DISABLE: S.TRIPPED,
-    },
-    S.SPEED_STAGE: {
-        E.DISARM: S.DISARMING,
-        E.MOVE_SPEED: S.SPEED_STAGE,
-        E.MOVE_POSITION: S.POSITION_STAGE,
-        E.CHANGEOVER: S.POSITION_STAGE,
-        E.STOP: S.STOPPING,
-        E.TRIP_QUICK_STOP: S.QUICK_STOP,
-        E.TRIP_DISABLE: S.TRIPPED,
-    },
-    S.POSITION_STAGE: {
-        E.DISARM: S.DISARMING,
-        E.MOVE_SPEED: S.SPEED_STAGE,
-        E.MOVE_POSITION: S.POSITION_STAGE,
-        E.REACHED: S.HOLDING,
-        E.STOP: S.STOPPING,
-        E.TRIP_QUICK_STOP: S.QUICK_STOP,
-        E.TRIP_DISABLE: S.TRIPPED,
-    },
-    S.STOPPING: {
-        E.DISARM: S.DISARMING,
-        E.STOP: S.STOPPING,
-        E.AT_REST: S.HOLDING,
-        E.TRIP_QUICK_STOP: S.QUICK_STOP,
-        E.TRIP_DISABLE: S.TRIPPED,
-    },
-    S.DISARMING: {
-        E.DISARM: S.DISARMING,
-        E.AT_REST: S.DISARMED,
-        E.TRIP_QUICK_STOP: S.QUICK_STOP,
-        E.TRIP_DISABLE: S.TRIPPED,
-    },
-    S.QUICK_STOP: {E.AT_REST: S.TRIPPED, E.TRIP_DISABLE: S.TRIPPED},
-    S.TRIPPED: {E.RESET: S.DISARMED},
+EVERY = [(state, event) for state in State for event in Event]
+SEVERITY = {
+    State.TRIPPED_STOPPING: Reaction.CONTROLLED_STOP,
+    State.TRIPPED_QUICK_STOP: Reaction.QUICK_STOP,
+    State.TRIPPED: Reaction.DISABLE,
 }
+TRIPS = {event: reaction for reaction, event in EVENTS.items()}
 
 
-@pytest.mark.parametrize(("state", "event"), list(itertools.product(State, Event)))
-def test_every_state_and_event(state: State, event: Event) -> None:
-    assert next_state(state, event) is EXPECTED[state].get(event)
+@pytest.mark.parametrize(("state", "event"), EVERY)
+def test_the_rules_hold_for_every_state_and_event(state: State, event: Event) -> None:
+    after = next_state(state, event)
+    if event in TRIPS:
+        trips(state, TRIPS[event], after)
+    elif state in LATCHED:
+        leaves_a_trip(state, event, after)
+    elif state is State.DISARMED:
+        assert after in {None, State.DISARMED, State.ARMING}
+        assert (after is State.ARMING) == (event is Event.ARM)
+    else:
+        assert after is None or after not in LATCHED
 
 
-def test_no_event_but_arming_leads_from_rest_to_an_enabled_drive() -> None:
-    """Safety rule 1: nothing but `arm` enables the drive, and after a trip nothing but `reset` leads out."""
-    for (state, event), after in TRANSITIONS.items():
-        if state not in ENABLED and after in ENABLED:
-            assert (state, event) == (S.DISARMED, E.ARM)
-        if state is S.TRIPPED:
-            assert (event, after) == (E.RESET, S.DISARMED)
-        if state is S.QUICK_STOP:
-            assert after is S.TRIPPED
+def trips(state: State, reaction: Reaction, after: State | None) -> None:
+    """A trip takes every enabled axis out of operation; the more severe reaction wins and none is taken back."""
+    if state in {State.DISARMED, State.TRIPPED}:
+        assert after is None
+        return
+    assert after in LATCHED
+    if state is State.ARMING:
+        assert after is State.TRIPPED  # no effort acts yet: there is nothing to brake
+    else:
+        assert SEVERITY[after] == max(reaction, SEVERITY.get(state, Reaction.NONE))
 
 
-def test_every_driven_state_can_trip_and_end() -> None:
-    for state in DRIVEN:
-        assert next_state(state, E.TRIP_DISABLE) is S.TRIPPED
-    assert DRIVEN >= MOVING
-    assert {S.ARMING} == ENABLED - DRIVEN
+def leaves_a_trip(state: State, event: Event, after: State | None) -> None:
+    """Coming to rest ends the braking; nothing but a reset ends the trip."""
+    expected = {
+        (State.TRIPPED_STOPPING, Event.AT_REST): State.TRIPPED,
+        (State.TRIPPED_QUICK_STOP, Event.AT_REST): State.TRIPPED,
+        (State.TRIPPED, Event.RESET): State.DISARMED,
+    }
+    assert after is expected.get((state, event))
+
+
+def test_the_operator_may_stop_every_motion_and_disarm_every_axis_that_has_not_tripped() -> None:
+    for state in set(State) - LATCHED:
+        assert next_state(state, Event.DISARM) in {State.DISARMED, State.DISARMING}
+        if state in DRIVEN - {State.DISARMING}:
+            assert next_state(state, Event.STOP) in {State.HOLDING, State.STOPPING, State.QUICK_STOPPING}
+            assert next_state(state, Event.QUICK_STOP) in {State.HOLDING, State.QUICK_STOPPING}
+
+
+def test_every_braking_ends_and_only_a_braking_does() -> None:
+    assert {state for state in State if next_state(state, Event.AT_REST)} == BRAKING
+    for state in BRAKING:
+        after = next_state(state, Event.AT_REST)
+        assert after is not None
+        assert after not in BRAKING
+
+
+def test_a_motion_begins_from_holding_alone_or_replaces_one_of_its_kind() -> None:
+    for event, own in (
+        (Event.JOG, {State.JOGGING}),
+        (Event.HOME, set()),
+        (Event.MOVE_SPEED, {State.SPEED_STAGE, State.POSITION_STAGE}),
+        (Event.MOVE_POSITION, {State.SPEED_STAGE, State.POSITION_STAGE}),
+    ):
+        assert {state for state in State if next_state(state, event)} == {State.HOLDING, *own}
+
+
+def test_arming_leads_to_operation_only_by_way_of_the_enabled_drive() -> None:
+    into = {(s, e) for s, e in EVERY if next_state(s, e) in DRIVEN and s not in DRIVEN}
+    assert into == {(State.ARMING, Event.ENABLED), (State.ARMING, Event.ENABLED_MOVING)}
+    assert ENABLED == DRIVEN | {State.ARMING}
+
+
+def test_the_docs_hold_the_tables_that_the_code_makes() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "states.md").read_text(encoding="utf-8")
+    assert transition_table() in page, "run tools/write_tables.py"
+    assert trip_table() in page, "run tools/write_tables.py"
+    rows = transition_table().splitlines()[2:]
+    assert [row.split("`")[1] for row in rows] == list(State)
+    for state, row in zip(State, rows, strict=True):
+        cells = [cell.strip() for cell in row.strip("|").split("|")]
+        assert cells[1] == CIA402[state]
+        assert cells[2:] == [f"`{after}`" if (after := next_state(state, event)) else "" for event in Event]

@@ -8,6 +8,8 @@ from typing import Any
 import pytest
 
 from twostage_servo.cli.main import main
+from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.config import Config, LoadedConfig
 
 QUANTUM = 0.001  # of the effort in the shipped DBC
 
@@ -98,9 +100,10 @@ def test_the_trace_hash_depends_on_the_seed_and_on_nothing_else(capsys: pytest.C
 
 
 def test_a_trip_ends_with_exit_code_3_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
-    result = demo(capsys, "--set", "simulation.load=22", "--set", "simulation.load_at_s=2", exit_code=3)
-    assert result["trip"]["code"] == "following_error"
-    assert "mm" in result["trip"]["cause"]
+    # Dry friction beyond axis.limits.jam_effort cannot be told from a jam.
+    result = demo(capsys, "--set", "simulation.coulomb_friction=5", exit_code=3)
+    assert result["trip"]["code"] == "jam"
+    assert "axis.limits.jam_effort is 2.5" in result["trip"]["cause"]
     assert "reset" in result["trip"]["next_action"]
     assert result["settling_time_s"] is None
 
@@ -109,6 +112,37 @@ def test_a_silent_drive_ends_with_exit_code_3(capsys: pytest.CaptureFixture[str]
     result = demo(capsys, "--set", "simulation.frame_loss=1", exit_code=3)
     assert "no feedback" in result["failure"]
     assert result["changeover"] is None
+
+
+def test_dry_friction_below_the_jam_effort_is_worked_off(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys, "--set", "simulation.coulomb_friction=0.5")
+    assert result["trip"] is None
+    assert abs(result["final_error"]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "limits"),
+    [
+        ((), (100.0, 20, 250.0)),
+        (("--set", "axis.limits.missed_ticks=7"), (100.0, 7, 250.0)),  # what the operator says comes last
+        (("--fast",), (30.0, 2, 100.0)),
+        (("--config", "demo.toml"), (30.0, 2, 100.0)),
+    ],
+)
+def test_only_the_embedded_demo_in_real_time_is_patient(
+    monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...], limits: tuple[float, int, float]
+) -> None:
+    loaded: list[Config] = []
+
+    def refuse(configuration: LoadedConfig[Config], *_: object) -> None:
+        loaded.append(configuration.config)
+        raise CommandError(ExitCode.FAILED, "test", "seen enough")
+
+    monkeypatch.setattr("twostage_servo.cli.demonstration.Demonstration", refuse)
+    assert main(["demo", *arguments]) == 3
+    (config,) = loaded
+    axis, simulation = config.axis.limits, config.simulation
+    assert (axis.stale_feedback_ms, axis.missed_ticks, simulation.command_timeout_ms) == limits
 
 
 @pytest.mark.parametrize("arguments", [("--to", "2501"), ("--to", "nan"), ("--velocity", "0"), ("--velocity", "inf")])

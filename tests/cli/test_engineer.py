@@ -30,8 +30,8 @@ BROKEN = [
     ("effort = 24.0", "", "axis.limits.effort", "is missing"),
     ("overspeed = 320.0", "overspeed = 200.0", "axis.limits", "is not above velocity"),
     ("position_minimum = -2500.0", "position_minimum = 2600.0", "axis.limits", "is not below position_maximum"),
-    ("missed_ticks = 20", "missed_ticks = 5.5", "axis.limits.missed_ticks", "whole number"),
-    ("missed_ticks = 20", "missed_ticks = -1", "axis.limits.missed_ticks", "at least 0"),
+    ("missed_ticks = 2 ", "missed_ticks = 5.5 ", "axis.limits.missed_ticks", "whole number"),
+    ("missed_ticks = 2 ", "missed_ticks = -1 ", "axis.limits.missed_ticks", "at least 0"),
     ("cruise_velocity = 100.0", "cruise_velocity = 300.0", "axis", "is above limits.velocity"),
     ('unit = "mm"', "unit = 5", "axis.unit", "a text"),
     ('unit = "mm"', 'unit = "deg"', "axis.unit", "Set axis.unit to 'mm'"),
@@ -138,7 +138,7 @@ def test_the_design_of_both_examples(capsys: pytest.CaptureFixture[str]) -> None
     assert main(["design", "--json", "--config", "example2.toml"]) == 0
     second = json.loads(capsys.readouterr().out)
     assert second["changeover_distance"] == pytest.approx(21.56, abs=0.005)
-    assert set(second["stages"]) == {"speed", "position"}
+    assert set(second["stages"]) == {"speed", "position", "brake"}
 
 
 def test_the_design_for_people(capsys: pytest.CaptureFixture[str]) -> None:

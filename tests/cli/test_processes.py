@@ -28,19 +28,23 @@ CONFIG = Path(__file__).parents[2] / "config"
 # These processes run in real time on a machine that may be busy with anything: what is tested is not their punctuality.
 PATIENT = {
     "stale_feedback_ms": 3000.0,
+    "heartbeat_ms": 3000.0,
     "missed_ticks": 300,
+    "feedback_errors": 100,
     "following_error_minimum": 500.0,
+    "innovation": 500.0,
     "command_timeout_ms": 1000.0,
 }
+JOG_TIMEOUT = "axis.jog_timeout_ms=2000"
 LONGEST_S = 60  # ends a test that hangs; nothing is measured against it
 
 
 class Process:
     """A running verb, whose log is read line by line."""
 
-    def __init__(self, *arguments: str, environment: dict[str, str]) -> None:
+    def __init__(self, *arguments: str, environment: dict[str, str], command: tuple[str, ...] = COMMAND) -> None:
         self.popen = subprocess.Popen(  # noqa: S603
-            [*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+            [*command, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
         )
 
     def until_logged(self, text: str) -> str:
@@ -72,12 +76,21 @@ class Machine:
         self.config = folder / "axis.toml"
         self.config.write_text(text, encoding="utf-8")
         self.socket = folder / "control.sock"
-        self.environment = os.environ | {"TWOSTAGE_SERVO_SOCKET": str(self.socket)}
+        self.state = folder / "state"
+        self.environment = os.environ | {
+            "TWOSTAGE_SERVO_SOCKET": str(self.socket),
+            "XDG_STATE_HOME": str(self.state),
+        }
         self.started: list[Process] = []
         self.others: list[subprocess.Popen[str]] = []
 
-    def start(self, verb: str) -> Process:
-        process = Process(verb, "--config", str(self.config), "--json", environment=self.environment)
+    def start(self, verb: str, *overrides: str, command: tuple[str, ...] = COMMAND) -> Process:
+        options = [argument for override in overrides for argument in ("--set", override)]
+        return self.run(verb, "--config", str(self.config), *options, command=command)
+
+    def run(self, *arguments: str, command: tuple[str, ...] = COMMAND) -> Process:
+        """Start a verb and do not wait for its end."""
+        process = Process(*arguments, "--json", environment=self.environment, command=command)
         self.started.append(process)
         return process
 
@@ -86,10 +99,10 @@ class Machine:
         drive.until_logged("on the bus")
         return drive
 
-    def service(self) -> Process:
-        service = self.start("run")
+    def service(self, *overrides: str, command: tuple[str, ...] = COMMAND) -> Process:
+        service = self.start("run", *overrides, command=command)
         service.until_logged("the bus is open")
-        self.watch_until(lambda status: status["axis"]["position"] is not None)
+        self.watch_until(lambda status: status["axis"]["cia402"] == "ready to switch on")
         return service
 
     def listener(self) -> SocketcandBus:
@@ -118,6 +131,35 @@ class Machine:
                 if condition(status):
                     return status
         raise AssertionError("the service went away")
+
+    def watch_until_at_rest(self) -> None:
+        slow = 0
+
+        def seen(status: dict[str, Any]) -> bool:
+            nonlocal slow
+            slow = slow + 1 if abs(status["axis"]["velocity"]) < 0.5 else 0
+            return slow == 20
+
+        self.watch_until(seen)
+
+
+class Operator:
+    """A client that stays connected."""
+
+    def __init__(self, path: Path) -> None:
+        self.socket = socket.socket(socket.AF_UNIX)
+        self.socket.settimeout(LONGEST_S)
+        self.socket.connect(str(path))
+        self.lines = self.socket.makefile()
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        self.socket.sendall(json.dumps(request).encode() + b"\n")
+        answer: dict[str, Any] = json.loads(self.lines.readline())
+        return answer
+
+    def close(self) -> None:
+        self.lines.close()
+        self.socket.close()
 
 
 def dbc() -> cantools.database.can.Database:
@@ -281,8 +323,11 @@ def test_a_drive_that_goes_away_trips_the_axis(machine: Machine) -> None:
     machine.ask("arm")
     machine.ask("move", "1000")
     drive.end(signal.SIGKILL)
-    tripped = machine.watch_until(lambda status: status["trip"])
+    tripped = machine.watch_until(lambda status: status["trip"] and status["trip"]["file"])
     assert tripped["trip"]["code"] in {"bus_failed", "stale_feedback"}
+    (file,) = (machine.state / "twostage-servo" / "trips").iterdir()
+    assert tripped["trip"]["file"] == str(file)
+    assert json.loads(file.read_text(encoding="utf-8"))["snapshot"]["trip"]["cause"] == tripped["trip"]["cause"]
     assert machine.ask("status", exit_code=3)["axis"]["state"] == "tripped"
     machine.drive()
     back = machine.watch_until(lambda status: status["bus"]["open"] and status["axis"]["position"] is not None)
@@ -301,8 +346,8 @@ def test_a_second_service_at_the_same_socket_is_refused(machine: Machine) -> Non
 
 
 def test_without_a_service_every_verb_says_so(machine: Machine) -> None:
-    for arguments in (["status"], ["arm"], ["move", "1"], ["watch"], ["stop"], ["reset"], ["disarm"]):
-        error = machine.ask(*arguments, exit_code=4)["error"]
+    for verb in ("status", "arm", "move 1", "jog 5", "home", "watch", "stop", "reset", "disarm", "release", "reload"):
+        error = machine.ask(*verb.split(), exit_code=4)["error"]
         assert "is the service running?" in error["message"]
 
 
@@ -320,3 +365,229 @@ def test_watch_ends_after_its_count(machine: Machine) -> None:
     counts = [json.loads(line)["ticks"]["count"] for line in watched.stdout.splitlines()]
     assert len(counts) == 4
     assert counts == sorted(set(counts))
+
+
+# The lease, and what goes on when an operator leaves ------------------------------------------------------------------
+
+
+def test_one_operator_commands_and_the_others_watch_or_stop(machine: Machine) -> None:
+    machine.drive()
+    machine.service()
+    holder = Operator(machine.socket)
+    assert holder.ask(op="arm")["ok"]
+    machine.watch_until(lambda status: status["axis"]["state"] == "holding")
+    assert holder.ask(op="move", position=2000.0, velocity=60.0)["ok"]
+    machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 50.0)
+    refused = machine.ask("move", "0", exit_code=3)["error"]
+    assert refused["code"] == "lease_held"
+    assert str(os.getpid()) in refused["message"]
+    assert machine.ask("release", exit_code=3)["error"]["code"] == "busy"
+    assert str(os.getpid()) in machine.ask("status")["lease"]["holder"]
+    assert machine.ask("stop")["axis"]["state"] == "holding"
+    assert machine.ask("release")["lease"] == {"holder": None}
+    assert machine.ask("move", "--by", "-10", "--wait")["move"]["outcome"] == "reached"
+    assert holder.ask(op="move", position=0.0)["ok"]  # each verb has given the lease back as it left
+    holder.close()
+
+
+def test_a_move_goes_on_after_its_command_has_left(machine: Machine) -> None:
+    machine.drive()
+    machine.service("service.holder_lost='stop'")
+    machine.ask("arm")
+    assert machine.ask("move", "100")["move"]["outcome"] == "moving"
+    reached = machine.watch_until(lambda status: status["move"]["outcome"] != "moving")
+    assert reached["move"]["outcome"] == "reached"
+    assert reached["lease"] == {"holder": None}
+
+
+def test_a_command_that_is_killed_in_mid_move_falls_under_the_policy(machine: Machine) -> None:
+    machine.drive()
+    machine.service("service.holder_lost='stop'")
+    machine.ask("arm")
+    moving = machine.run("move", "2000", "--wait")
+    machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 50.0)
+    moving.end(signal.SIGKILL)
+    stopped = machine.watch_until(lambda status: status["axis"]["state"] == "holding")
+    assert stopped["move"]["outcome"] == "stopped"
+    assert "service.holder_lost is stop" in stopped["move"]["reason"]
+
+
+def test_a_command_that_is_interrupted_in_mid_move_leaves_the_axis_moving(machine: Machine) -> None:
+    machine.drive()
+    machine.service("service.holder_lost='stop'")
+    machine.ask("arm")
+    moving = machine.run("move", "600", "--velocity", "200", "--wait")
+    machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 50.0)
+    exit_code, _, said = moving.end(signal.SIGINT)
+    assert exit_code == 130
+    assert "the axis goes on to its set-point" in said
+    assert machine.watch_until(lambda status: status["move"]["outcome"] != "moving")["move"]["outcome"] == "reached"
+
+
+# Jog, home, quick stop, reload ----------------------------------------------------------------------------------------
+
+
+def test_a_jog_ends_after_its_time(machine: Machine) -> None:
+    machine.drive()
+    machine.service(JOG_TIMEOUT)
+    assert machine.ask("jog", "50", exit_code=3)["error"]["code"] == "disarmed"
+    machine.ask("arm")
+    status = machine.ask("jog", "50", "--seconds", "0.5")
+    assert status["axis"]["state"] == "holding"
+    assert status["axis"]["position"] > 1.0
+    assert (status["move"]["kind"], status["move"]["outcome"], status["move"]["reason"]) == ("jog", "stopped", None)
+    back = machine.ask("jog", "-1e2", "--seconds", "0.1")
+    assert back["axis"]["position"] < status["axis"]["position"]
+    assert machine.ask("jog", "9999", exit_code=2)["error"]["code"] == "velocity_limit"
+    assert machine.ask("jog", "nan", exit_code=2)["error"]["code"] == "bad_request"
+    assert machine.ask("jog", "5", "--seconds", "-1", exit_code=2)["error"]["code"] == "usage"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_a_jog_ends_with_its_command(machine: Machine, number: signal.Signals) -> None:
+    machine.drive()
+    machine.service(JOG_TIMEOUT)
+    machine.ask("arm")
+    jogging = machine.run("jog", "50")
+    machine.watch_until(lambda status: (status["axis"]["position"] or 0.0) > 20.0)
+    exit_code, out, _ = jogging.end(number)
+    held = machine.watch_until(lambda status: status["axis"]["state"] == "holding")
+    assert held["move"]["outcome"] == "stopped"
+    if number is signal.SIGINT:
+        assert exit_code == 0
+        assert json.loads(out)["axis"]["state"] == "holding"
+        assert held["move"]["reason"] is None
+    else:
+        assert "has gone, who held the jog" in held["move"]["reason"]
+
+
+def test_a_jog_ends_at_the_limit(machine: Machine) -> None:
+    machine.drive()
+    machine.service(JOG_TIMEOUT, "axis.limits.position_maximum=30.0")
+    machine.ask("arm")
+    status = machine.ask("jog", "100")
+    assert (status["axis"]["state"], status["move"]["outcome"]) == ("holding", "reached")
+    assert status["axis"]["position"] == pytest.approx(30.0, abs=0.2)
+
+
+def test_home_here_counts_from_where_the_axis_stands(machine: Machine) -> None:
+    machine.drive()
+    machine.service("axis.homing.required=true")
+    assert machine.ask("status")["axis"]["referenced"] is False
+    machine.ask("arm")
+    assert machine.ask("move", "1", exit_code=3)["error"]["code"] == "not_homed"
+    machine.ask("jog", "20", "--seconds", "0.3")
+    machine.watch_until_at_rest()
+    # That the jog was stopped is no failure of this.
+    homed = machine.ask("home", "--here", "250.5")
+    assert homed["axis"]["referenced"] is True
+    assert homed["axis"]["position"] == pytest.approx(250.5, abs=0.2)
+    assert machine.ask("move", "200", "--wait")["axis"]["position"] == pytest.approx(200.0, abs=0.1)
+    machine.ask("disarm")
+    # Without a reference of its own, homing takes the place where the axis stands for axis.homing.position.
+    assert machine.ask("home")["axis"]["position"] == pytest.approx(0.0, abs=0.1)
+
+
+def test_home_looks_for_the_switch(machine: Machine) -> None:
+    machine.config.write_text(
+        machine.config.read_text(encoding="utf-8") + "home_switch_from = -1000.0\nhome_switch_to = -10.0\n",
+        encoding="utf-8",
+    )
+    machine.drive()
+    machine.service("axis.homing.method='switch'", "axis.homing.velocity=50.0")
+    assert machine.ask("home", exit_code=3)["error"]["code"] == "disarmed"
+    machine.ask("arm")
+    homed = machine.ask("home")
+    assert (homed["move"]["kind"], homed["move"]["outcome"], homed["axis"]["state"]) == ("home", "reached", "holding")
+    assert machine.ask("move", "5", "--wait")["axis"]["position"] == pytest.approx(5.0, abs=0.1)
+
+
+def test_a_quick_stop_in_mid_move(machine: Machine) -> None:
+    machine.drive()
+    service = machine.service()
+    machine.ask("arm")
+    machine.ask("move", "2000")
+    machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 90.0)
+    stopped = machine.ask("stop", "--quick")
+    assert (stopped["axis"]["state"], stopped["move"]["outcome"]) == ("holding", "stopped")
+    _, _, log = service.end(signal.SIGTERM)
+    assert '"now": "quick_stopping"' in log
+
+
+def test_the_configuration_is_read_again_while_disarmed(machine: Machine) -> None:
+    machine.drive()
+    machine.service()
+    good = machine.config.read_text(encoding="utf-8")
+    slower = good.replace("cruise_velocity = 100.0", "cruise_velocity = 33.0")
+    machine.config.write_text(slower, encoding="utf-8")
+    machine.ask("arm")
+    assert machine.ask("reload", exit_code=3)["error"]["code"] == "armed"
+    machine.ask("disarm")
+
+    machine.config.write_text(slower.replace("pole = 14.0", "pole = -14.0", 1), encoding="utf-8")
+    error = machine.ask("reload", exit_code=3)["error"]
+    line = slower[: slower.index("pole = 14.0")].count("\n") + 1
+    assert error["code"] == "config"
+    assert f"{machine.config}:{line}: axis.plant.pole" in error["message"]
+    machine.config.write_text(slower + "hub = false\n[service]\ntick_ms = 5.0\n", encoding="utf-8")
+    assert "only a restart" in machine.ask("reload", exit_code=3)["error"]["message"]
+
+    machine.config.write_text(slower, encoding="utf-8")
+    assert machine.ask("reload")["axis"]["state"] == "disarmed"
+    machine.watch_until(lambda status: status["axis"]["position"] is not None)
+    machine.ask("arm")
+    assert machine.ask("move", "5")["move"]["velocity"] == 33.0
+
+
+# The service itself ---------------------------------------------------------------------------------------------------
+
+WITH_A_DEFECT = (
+    sys.executable,
+    "-c",
+    """
+from twostage_servo.cli.main import entry_point
+from twostage_servo.service.recorder import Recorder
+
+add = Recorder.add
+def broken(recorder, record):
+    if record.velocity > 50.0 and record.state == "moving_speed_stage":
+        raise ZeroDivisionError("a defect")
+    add(recorder, record)
+Recorder.add = broken
+entry_point()
+""",
+)
+
+
+def test_a_defect_stops_the_axis_and_ends_with_a_traceback(machine: Machine) -> None:
+    drive = machine.drive()
+    service = machine.service(command=WITH_A_DEFECT)
+    with machine.listener() as listener:
+        machine.ask("arm")
+        machine.ask("move", "2000")
+        commands = commands_until_disabled(listener)
+    _, err = service.popen.communicate(timeout=LONGEST_S)
+    assert service.popen.returncode == 1
+    assert "ZeroDivisionError: a defect" in err
+    assert '"code": "internal_error"' in err
+    assert commands[-3:] == [(0.0, 0)] * 3
+    (file,) = (machine.state / "twostage-servo" / "trips").iterdir()
+    assert file.name.endswith("-x-internal_error.json")
+    _, out, _ = drive.end(signal.SIGTERM)
+    assert json.loads(out)["counters"]["command_timeouts"] == 0
+
+
+def test_a_service_manager_is_told_of_start_life_and_end(machine: Machine, tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.settimeout(LONGEST_S)
+        manager.bind(str(tmp_path / "notify"))
+        machine.environment |= {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "400000"}
+        service = machine.start("run")
+        heard = [manager.recv(100) for _ in range(4)]
+        assert heard == [b"READY=1"] + [b"WATCHDOG=1"] * 3
+        service.popen.send_signal(signal.SIGTERM)
+        while (message := manager.recv(100)) == b"WATCHDOG=1":
+            pass
+        assert message == b"STOPPING=1"
+        service.popen.communicate(timeout=LONGEST_S)
+        assert service.popen.returncode == 0

@@ -27,7 +27,7 @@ def radius(ratio: float, stage: Stage, factor: float) -> float:
     b_p = factor * np.array([[PLANT.b1], [PLANT.b2]])
     closed = np.block([[a_p, b_p @ c_c], [b_c @ np.array([[1.0, 0.0]]), a_c]])
     poles = np.linalg.eigvals(closed)
-    if stage is Stage.SPEED:
+    if stage is not Stage.POSITION:
         poles = np.delete(poles, np.argmin(np.abs(poles - 1.0)))
     return float(np.max(np.abs(poles)))
 

@@ -61,7 +61,7 @@ class Run:
         return self.law.stage
 
     def stopping(self) -> bool:
-        return self.law.stopping
+        return self.law.stage is Stage.BRAKE
 
     def seconds(self, duration_s: float) -> "Run":
         for _ in range(round(duration_s / PERIOD_S)):

@@ -1,10 +1,12 @@
-"""The real service and the real drive node on the virtual bus, in simulated time."""
+"""The real service and the real drive node on a simulated bus, in simulated time."""
 
 import asyncio
-import itertools
+import functools
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import TypeVar
+
+import can
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.state import State
@@ -13,12 +15,32 @@ from twostage_servo.canbus.profile import Command
 from twostage_servo.config import load
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.loop import ServoService
+from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
 from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.ticks import Tick, Ticks
 
-_channels = itertools.count()
+BUS = BusSettings(interface="socketcan", channel="can0")
+"""What the simulated bus stands for."""
+
 _Result = TypeVar("_Result")
+
+
+class BusyTicks(Ticks):
+    """Ticks on a busy host: the next one is held up until so many seconds after this one."""
+
+    __slots__ = ("hold_s",)
+
+    def __init__(self, period_s: float) -> None:
+        super().__init__(period_s)
+        self.hold_s = 0.0
+
+    async def __anext__(self) -> Tick:
+        hold_s, self.hold_s = self.hold_s, 0.0
+        if hold_s:
+            await asyncio.sleep(hold_s)
+        return await super().__anext__()
 
 
 @dataclass
@@ -27,8 +49,9 @@ class World:
 
     service: ServoService
     drive: SimulatedDrive
+    wire: Wire
+    ticks: BusyTicks
     serving: "asyncio.Task[None]"
-    commands: list[tuple[int, Command]] = field(default_factory=list)
     trace: list[tuple[int, str, int, bytes]] = field(default_factory=list)
 
     @property
@@ -37,6 +60,15 @@ class World:
 
     def state(self) -> State:
         return self.axis.state
+
+    def sent(self) -> list[tuple[int, Command]]:
+        """The commands as they stood on the bus, each with its tick."""
+        profile = self.service.profile
+        return [
+            (tick, profile.decode_command(can.Message(arbitration_id=identifier, is_extended_id=False, data=data)))
+            for tick, direction, identifier, data in self.trace
+            if direction == "sent"
+        ]
 
     async def seconds(self, duration_s: float) -> None:
         """Let simulated time pass; no real time does."""
@@ -66,14 +98,17 @@ class World:
 def simulate(script: Callable[[World], Awaitable[_Result]], *overrides: str) -> _Result:
     """Run service and drive in simulated time until the script ends; the demo's configuration with overrides."""
     loaded = load(None, overrides)
-    bus = BusSettings(interface="virtual", channel=f"test-{next(_channels)}")
 
     async def main() -> _Result:
-        service = build_service(loaded, bus)
-        drive = SimulatedDrive(loaded.config.simulation, service.profile, asyncio.get_running_loop().time())
-        node = DriveNode(drive, Link(bus, service.profile.drive_identifiers), loaded.config.simulation.cycle_ms / 1e3)
+        loop = asyncio.get_running_loop()
+        wire = Wire(loop.time)
+        service = build_service(loaded, BUS, functools.partial(wire.attach, "service"))
+        service.ticks = ticks = BusyTicks(service.ticks.period_s)
+        drive = SimulatedDrive(loaded.config.simulation, service.profile, loop.time())
+        link = Link(BUS, service.profile.drive_identifiers, functools.partial(wire.attach, "drive"))
+        node = DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3)
         driving = asyncio.create_task(node.run())
-        world = World(service, drive, asyncio.create_task(service.run()))
+        world = World(service, drive, wire, ticks, asyncio.create_task(service.run()))
 
         def observe(tick: int, direction: str, identifier: int, data: bytes) -> None:
             world.trace.append((tick, direction, identifier, data))

@@ -7,7 +7,6 @@ import math
 import os
 import socket
 import stat
-from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,59 +14,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.service.operators import connect, serve
 from tests.service.rig import World, simulate
 from twostage_servo.service.address import find_socket, own_socket, prepare_folder
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, encode_in_pieces
 from twostage_servo.service.requests import Request
-
-Json = dict[str, Any]
-
-
-class Operator:
-    """A client that speaks raw lines."""
-
-    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self.reader, self.writer = reader, writer
-
-    async def send(self, line: bytes) -> Json:
-        self.writer.write(line + b"\n")
-        return await self.answer()
-
-    async def ask(self, **request: object) -> Json:
-        return await self.send(json.dumps(request).encode())
-
-    async def answer(self) -> Json:
-        line = await self.reader.readline()
-        assert line.endswith(b"\n"), "the connection was closed"
-        answer: Json = json.loads(line)
-        return answer
-
-
-def serve(path: Path, script: Callable[[World, ControlSocket], Awaitable[None]]) -> None:
-    async def main(world: World) -> None:
-        control = ControlSocket(path, world.service.handle)
-        world.service.publishers.append(lambda tick: control.publish(tick.index, world.service.snapshot))
-        await control.start()
-        try:
-            await world.until(lambda: world.axis.ready_to_arm)
-            await script(world, control)
-        finally:
-            await control.stop()
-            for operator in _operators:
-                operator.writer.transport.abort()
-            _operators.clear()
-            await world.seconds(0.01)
-
-    simulate(main)
-
-
-_operators: list[Operator] = []
-
-
-async def connect(path: Path) -> Operator:
-    operator = Operator(*await asyncio.open_unix_connection(str(path)))
-    _operators.append(operator)
-    return operator
 
 
 @pytest.fixture
@@ -87,7 +38,10 @@ def test_a_session_of_an_operator(path: Path) -> None:
         assert (await operator.ask(op="arm"))["ok"]
         await world.seconds(0.1)
         moving = await operator.ask(op="move", position=100.0, velocity=50.0)
-        assert moving["move"] == {"number": 1, "start": 0.0, "target": 100.0, "velocity": 50.0, "outcome": "moving"}
+        assert moving["move"] == {
+            "number": 1, "start": 0.0, "target": 100.0, "velocity": 50.0, "outcome": "moving", "kind": "move",
+            "reason": None,
+        }  # fmt: skip
         await world.seconds(1.0)
         stopping = await operator.ask(op="stop")
         assert stopping["axis"]["state"] == "stopping"
@@ -201,18 +155,6 @@ def test_more_clients_than_the_limit_are_told_so(path: Path) -> None:
     serve(path, script)
 
 
-def test_a_client_that_dies_in_mid_move_leaves_the_move_alone(path: Path) -> None:
-    async def script(world: World, _: ControlSocket) -> None:
-        operator = await connect(path)
-        await operator.ask(op="arm")
-        await world.seconds(0.1)
-        await operator.ask(op="move", position=100.0)
-        operator.writer.transport.abort()
-        await world.until(lambda: world.axis.move is not None and world.axis.move.outcome == "reached")
-
-    serve(path, script)
-
-
 def test_the_recording_can_be_fetched(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         await world.seconds(3.0)
@@ -238,7 +180,7 @@ def test_only_owner_and_group_may_open_the_socket(path: Path) -> None:
 def test_a_second_service_is_refused_and_a_dead_socket_is_taken_over(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         with pytest.raises(SocketInUseError, match="another service answers"):
-            await ControlSocket(path, world.service.handle).start()
+            await ControlSocket(path, world.service.handle, world.service.desk.leave).start()
 
     serve(path, script)
     path.parent.mkdir(exist_ok=True)
@@ -253,7 +195,7 @@ def test_a_file_that_is_no_socket_is_not_removed(path: Path) -> None:
 
     async def script(world: World) -> None:
         with pytest.raises(OSError, match="is not a socket"):
-            await ControlSocket(path, world.service.handle).start()
+            await ControlSocket(path, world.service.handle, world.service.desk.leave).start()
 
     simulate(script)
     assert path.read_text() == "precious"
@@ -287,10 +229,10 @@ def test_a_flood_of_requests_does_not_hold_up_the_tick(path: Path) -> None:
         served = 0
         handle = control._handle
 
-        def count(request: Request) -> dict[str, Any]:
+        def count(request: Request, client: str) -> dict[str, Any]:
             nonlocal served
             served += 1
-            return handle(request)
+            return handle(request, client)
 
         control._handle = count
         operator = await connect(path)

@@ -5,8 +5,9 @@ from collections.abc import Callable
 from random import Random
 from typing import TYPE_CHECKING
 
-from invariants import MODEL_ERROR, Invariants
+from invariants import Invariants
 
+from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.messages import Feedback, Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode

@@ -3,12 +3,9 @@
 import resource
 
 from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.state import DRIVEN, State
-
-MODEL_ERROR = 0.3
-"""Share by which the soaked plant may differ from its model."""
-
 
 class BrokenInvariantError(AssertionError):
     """What did not hold, with its numbers."""
@@ -87,7 +84,7 @@ def allowed_overrun(axis: Axis) -> float:
     """
     design, limits = axis.design, axis.settings.limits
     speed = limits.overspeed
-    stop = design.stopping_distance(speed, limits.quick_stop_deceleration)
+    stop = design.certain_stopping_distance(speed, limits.quick_stop_deceleration)
     coast = speed / (axis.settings.plant.pole * (1.0 - MODEL_ERROR))
     return limits.position_overrun + stop + coast + speed * (limits.stale_feedback_ms / 1e3 + 3.0 * design.period_s)
 

@@ -4,7 +4,8 @@ import math
 from dataclasses import dataclass
 
 from twostage_servo.axis.settings import AxisSettings
-from twostage_servo.control.margins import closed_loop_poles
+from twostage_servo.control.margins import closed_loop_poles, loop_margins
+from twostage_servo.control.mismatch import ModelTest
 from twostage_servo.control.observer import (
     NO_CORRECTION,
     DisturbanceObserver,
@@ -18,6 +19,14 @@ from twostage_servo.control.two_stage import Stage, TwoStageLaw
 
 REST_SHARE = 0.01
 """Share of the velocity limit at or below which the axis counts as at rest: 2.5 mm/s of the demo's 250."""
+
+
+MODEL_ERROR = 0.3
+"""Share by which the true plant may differ from its model: what an axis has to be good for."""
+
+LEAST_MODULUS_MARGIN = 0.4
+"""Smallest distance of a loop from -1 that is taken: a sensitivity peak of 2.5. Up to 2 is usual (K. J. Astrom, R. M.
+Murray, *Feedback Systems*, section 12.3); the paper's second example has 1.8."""
 
 
 class DesignError(ValueError):
@@ -38,6 +47,8 @@ class AxisDesign:
     gains: ServoGains
     noise: NoiseModel
     kalman: KalmanGain
+    settling_time_s: float
+    """How long the slowest pole of a stop takes to die down to a hundredth."""
 
     @property
     def rest_velocity(self) -> float:
@@ -52,9 +63,58 @@ class AxisDesign:
         """Return the same law on a free-running model of the plant: the response that the axis is designed to give."""
         return self._law(NO_CORRECTION)
 
+    def build_model_test(self) -> ModelTest:
+        """Return the test that compares the plant's answer with the model's."""
+        plant = Plant(self.settings.plant.gain, self.settings.plant.pole)
+        return ModelTest(plant, self.period_s, self.noise)
+
     def changeover_distance(self, velocity: float) -> float:
         """Return the change-over distance p of equation (19), in axis unit, for a velocity in axis unit/s."""
         return abs(velocity) * self.gains.changeover_time_s(self.period_s)
+
+    def ticks(self, duration_ms: float) -> int:
+        """Return the ticks that a time in ms takes, rounded up."""
+        return math.ceil(duration_ms / (1e3 * self.period_s) - 1e-9)
+
+    def braking_effort_time_s(self, velocity: float, deceleration: float) -> float:
+        """Return how long the effort rate takes from the effort of a cruise to that of braking, in s."""
+        plant, limits = self.settings.plant, self.settings.limits
+        cruise = abs(velocity * plant.pole / plant.gain)
+        swing = min(abs(deceleration / plant.gain), cruise + limits.effort)
+        return swing / limits.effort_rate
+
+    def attainable(self, deceleration: float) -> float:
+        """Return the part of a deceleration (axis unit/s²) that the effort limit allows, friction left aside."""
+        return min(deceleration, abs(self.settings.plant.gain) * self.settings.limits.effort)
+
+    def stopping_distance(self, velocity: float, deceleration: float) -> float:
+        """Return how far the axis travels in a stop, in axis unit, not negative.
+
+        The ramp's own ``v²/2a``, a tick until the first effort of it acts, and the time that the effort rate takes.
+
+        Parameters
+        ----------
+        velocity
+            Speed from which it stops, in axis unit/s.
+        deceleration
+            Slope of the speed reference, in axis unit/s².
+        """
+        speed = abs(velocity)
+        delay_s = self.period_s + self.braking_effort_time_s(velocity, deceleration)
+        return speed * delay_s + speed**2 / (2.0 * self.attainable(deceleration))
+
+    def certain_stopping_distance(self, velocity: float, deceleration: float) -> float:
+        """Return how far the axis travels at most in a stop if its plant is off its model, in axis unit.
+
+        A plant that answers by a share less keeps that share of its speed when the ramp ends, and coasts.
+        """
+        coasting = abs(velocity) / self.settings.plant.pole
+        return self.stopping_distance(velocity, deceleration) + MODEL_ERROR * coasting
+
+    def stopping_time_s(self, velocity: float, deceleration: float) -> float:
+        """Return how long a stop takes, in s: the ramp, the effort rate, and until the rest has died down."""
+        ramp_s = abs(velocity) / self.attainable(deceleration) + self.braking_effort_time_s(velocity, deceleration)
+        return ramp_s + self.settling_time_s
 
     def _law(self, gain: Triple) -> TwoStageLaw:
         return TwoStageLaw(
@@ -63,6 +123,7 @@ class AxisDesign:
             self.period_s,
             acceleration_limit=self.settings.limits.acceleration,
             effort_limit=self.settings.limits.effort,
+            effort_rate_limit=self.settings.limits.effort_rate,
             rest_velocity=self.rest_velocity,
         )
 
@@ -105,6 +166,7 @@ def design_axis(settings: AxisSettings, period_s: float) -> AxisDesign:
             f"{settings.effort_unit}, and limits.effort is {settings.limits.effort:g}; lower the velocity limit below "
             f"{abs(settings.limits.effort * settings.plant.gain / settings.plant.pole):g} or raise the effort limit",
         )
+    settling_time_s = 0.0
     for stage in Stage:
         radius = max(abs(pole) for pole in closed_loop_poles(sampled, gains, kalman, noise, stage))
         if radius >= 1.0:
@@ -113,4 +175,13 @@ def design_axis(settings: AxisSettings, period_s: float) -> AxisDesign:
                 f"the {stage.name.lower()} stage would be unstable: its closed loop has a pole of magnitude "
                 f"{radius:.4f}; choose a smaller Q/R (see `design`)",
             )
-    return AxisDesign(settings, period_s, sampled, gains, noise, kalman)
+        margin = loop_margins(sampled, gains, kalman, noise, stage, frequencies=2_000).modulus_margin
+        if margin < LEAST_MODULUS_MARGIN:
+            raise DesignError(
+                ("axis", "law", "performance_index_ratio"),
+                f"the {stage.name.lower()} stage would be fragile: its modulus margin is {margin:.3f}, and at least "
+                f"{LEAST_MODULUS_MARGIN:g} is needed; choose a smaller Q/R, or other observer variances (see `design`)",
+            )
+        if stage is Stage.BRAKE:
+            settling_time_s = period_s * math.log(REST_SHARE) / math.log(max(radius, 1e-9))
+    return AxisDesign(settings, period_s, sampled, gains, noise, kalman, settling_time_s)

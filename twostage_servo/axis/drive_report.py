@@ -1,14 +1,18 @@
 """What the axis knows of its drive: the newest feedback, how old it is, and what it says of the drive's state."""
 
 import math
+from collections.abc import Iterator
 
-from twostage_servo.axis.feedback import FeedbackMonitor
+from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
+from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.trips import TripCode
 
+_INPUTS = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
+
 
 class DriveReport:
-    """Keeps the newest fresh feedback of the drive.
+    """Keeps the newest fresh feedback of the drive, in positions that count from the axis' own origin.
 
     Parameters
     ----------
@@ -18,31 +22,57 @@ class DriveReport:
         Length of a tick in s.
     counter_modulus
         Number of values of the feedback's alive counter.
+    position_period
+        Width in axis unit of the range in which the encoder counts before it rolls over; 0 if it does not.
 
     Attributes
     ----------
     position
-        Position of the newest fresh feedback, in axis unit; None before the first and after the bus was lost.
+        Position of the newest fresh feedback, rolled out and homed, in axis unit; None before the first and after the
+        bus was lost.
+    age_s
+        How long before its tick that sample was taken, or None: at the instant of the last command.
     enabled
         Whether the drive says it is enabled; None where it does not tell.
     fault_code
         The drive's fault code while it reports a fault, else None.
+    safe_torque_off, positive_limit, negative_limit, home_switch
+        Whether these inputs are active; None where the drive does not tell.
+    index
+        Position that the drive latched at the encoder's index mark since :meth:`forget_index`, or None.
+    boots
+        How often the drive has rebooted since the first heartbeat.
     fresh
         Whether this tick had fresh feedback.
     monitor
         The alive counter's bookkeeping.
     """
 
-    def __init__(self, settings: AxisSettings, period_s: float, counter_modulus: int) -> None:
+    def __init__(
+        self, settings: AxisSettings, period_s: float, counter_modulus: int, position_period: float = 0.0
+    ) -> None:
         self.monitor = FeedbackMonitor(counter_modulus)
         self.position: float | None = None
+        self.age_s: float | None = None
         self.enabled: bool | None = None
         self.fault_code: int | None = None
+        self.safe_torque_off: bool | None = None
+        self.positive_limit: bool | None = None
+        self.negative_limit: bool | None = None
+        self.home_switch: bool | None = None
+        self.index: float | None = None
+        self.boots = 0
         self.fresh = False
-        self._ticks_since_foreign: int | None = None
         self._settings = settings
         self._period_ms = 1e3 * period_s
+        self._position_period = position_period
+        self._counted: float | None = None  # what the encoder said last
+        self._origin = 0.0  # axis position where the encoder counts 0, roll-overs included
+        self._boot_counter: int | None = None
+        self._ticks_since_heartbeat: int | None = None
+        self._ticks_since_foreign: int | None = None
         self._stale_ticks = math.ceil(settings.limits.stale_feedback_ms / self._period_ms)
+        self._heartbeat_ticks = math.ceil(settings.limits.heartbeat_ms / self._period_ms)
         self._foreign_ticks = math.ceil(settings.arming_timeout_ms / self._period_ms)
 
     def begin_tick(self, missed: int) -> None:
@@ -51,25 +81,63 @@ class DriveReport:
         self.monitor.begin_tick(missed)
         if self._ticks_since_foreign is not None:
             self._ticks_since_foreign += 1 + missed
+        if self._ticks_since_heartbeat is not None:
+            self._ticks_since_heartbeat += 1 + missed
 
-    def take(self, position: float, enabled: bool | None, fault_code: int | None) -> None:
-        """Take fresh feedback with a finite position; a fault or drop-out in an earlier frame of this tick stays."""
-        if self.fresh:
-            enabled = False if self.enabled is False else enabled
-            fault_code = fault_code if self.fault_code is None else self.fault_code
+    # What comes from the drive ---------------------------------------------------------------------------------------
+
+    def take(self, feedback: Feedback) -> None:
+        """Take one frame's feedback, if it is new; a fault, drop-out or input of an earlier frame of the tick stays."""
+        if not math.isfinite(feedback.position):
+            self.monitor.reject()
+            return
+        if not self.monitor.accept(feedback.counter):
+            return
+        again = self.fresh
         self.fresh = True
-        self.position = position
-        self.enabled = enabled
-        self.fault_code = fault_code
+        position = self._roll_out(feedback.position)
+        if not (again and feedback.unasked):
+            self.position, self.age_s = position, feedback.age_s
+        self.enabled = False if again and self.enabled is False else feedback.enabled
+        self.fault_code = self.fault_code if again and self.fault_code is not None else feedback.fault_code
+        for name in _INPUTS:
+            setattr(self, name, (again and getattr(self, name)) or getattr(feedback, name))
+
+    def take_index(self, position: float) -> None:
+        """Take the position that the encoder counted at its index mark, in axis unit."""
+        if math.isfinite(position):
+            self.index = self._unrolled(position)
+
+    def take_heartbeat(self, boot_counter: int | None) -> bool:
+        """Take a heartbeat; return whether the drive has booted since the last one."""
+        self._ticks_since_heartbeat = 0
+        rebooted = self._boot_counter is not None and boot_counter is not None and boot_counter != self._boot_counter
+        self._boot_counter = boot_counter
+        self.boots += rebooted
+        return rebooted
 
     def notice_foreign_command(self) -> None:
         """Remember that somebody else commands the drive."""
         self._ticks_since_foreign = 0
 
     def forget(self) -> None:
-        """Start afresh, as after the bus was lost."""
+        """Start afresh, as after the bus was lost; roll-overs are counted on from where the axis was last seen."""
         self.monitor.forget()
-        self.position = self.enabled = self.fault_code = None
+        self.position = self.enabled = self.fault_code = self.age_s = None
+        self.safe_torque_off = self.positive_limit = self.negative_limit = self.home_switch = None
+        self._ticks_since_heartbeat = None
+
+    def forget_index(self) -> None:
+        """Wait for the index mark anew."""
+        self.index = None
+
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower."""
+        self._origin += distance
+        if self.position is not None:
+            self.position += distance
+
+    # What follows from it --------------------------------------------------------------------------------------------
 
     @property
     def is_stale(self) -> bool:
@@ -77,22 +145,47 @@ class DriveReport:
         age = self.monitor.ticks_since_fresh
         return age is None or age >= self._stale_ticks
 
-    def trouble(self, *, arming: bool) -> tuple[TripCode, str] | None:
-        """Return code and cause of what must trip an enabled axis, or None."""
-        if self.is_stale:
-            age_ms = self._period_ms * (self.monitor.ticks_since_fresh or 0)
-            return (
-                TripCode.STALE_FEEDBACK,
+    def blocks(self, direction: float) -> str | None:
+        """Return the name of the limit switch that forbids motion in a direction (its sign counts), or None."""
+        if direction > 0.0 and self.positive_limit:
+            return "positive"
+        if direction < 0.0 and self.negative_limit:
+            return "negative"
+        return None
+
+    def troubles(self, *, arming: bool) -> Iterator[tuple[TripCode, str]]:
+        """Yield code and cause of what must trip an enabled axis."""
+        limits = self._settings.limits
+        if self.safe_torque_off:
+            yield TripCode.SAFE_TORQUE_OFF, "the drive reports that its safe torque off has been asked for"
+        if self.fault_code is not None:
+            yield TripCode.DRIVE_FAULT, f"the drive reports fault code {self.fault_code}"
+        if self.enabled is False and not arming:
+            yield TripCode.DRIVE_DROPPED_OUT, "the drive reports that it is no longer enabled"
+        if (silent := self._ticks_since_heartbeat) is not None and silent >= self._heartbeat_ticks:
+            yield (
+                TripCode.HEARTBEAT_LOST,
                 (
-                    f"no fresh feedback from the drive for {age_ms:g} ms; axis.limits.stale_feedback_ms is "
-                    f"{self._settings.limits.stale_feedback_ms:g}"
+                    f"no heartbeat from the drive for {self._period_ms * silent:g} ms; axis.limits.heartbeat_ms is "
+                    f"{limits.heartbeat_ms:g}"
                 ),
             )
-        if self.fault_code is not None:
-            return TripCode.DRIVE_FAULT, f"the drive reports fault code {self.fault_code}"
-        if self.enabled is False and not arming:
-            return TripCode.DRIVE_DROPPED_OUT, "the drive reports that it is no longer enabled"
-        return None
+        if self.is_stale:
+            yield (
+                TripCode.STALE_FEEDBACK,
+                (
+                    f"no fresh feedback from the drive for {self._period_ms * (self.monitor.ticks_since_fresh or 0):g} "
+                    f"ms; axis.limits.stale_feedback_ms is {limits.stale_feedback_ms:g}"
+                ),
+            )
+        if (errors := self.monitor.recent_errors) >= limits.feedback_errors:
+            yield (
+                TripCode.FEEDBACK_ERRORS,
+                (
+                    f"{errors} feedback frames were lost, corrupted, repeated or overtaken in the last {WINDOW_TICKS} "
+                    f"ticks; axis.limits.feedback_errors is {limits.feedback_errors}"
+                ),
+            )
 
     def obstacle_to_arming(self) -> tuple[str, str] | None:
         """Return code and text of what on the drive's side keeps the axis from being armed, or None."""
@@ -106,8 +199,24 @@ class DriveReport:
                 "foreign_command",
                 "another node on the bus commands this drive: end the other service or tool first.",
             )
-        if self.fault_code is not None:
-            return "drive_fault", f"the drive reports fault code {self.fault_code}: remove its cause first."
         if self.enabled is True:
             return "still_enabled", "the drive has not been disabled yet: ask again."
-        return None
+        trouble = next(self.troubles(arming=True), None)
+        return None if trouble is None else (trouble[0].value, f"{trouble[1]}: remove its cause first.")
+
+    # Roll-over -------------------------------------------------------------------------------------------------------
+
+    def _roll_out(self, counted: float) -> float:
+        """Take what the encoder counts and return the axis' position; a step is at most half a turn of the counter."""
+        period, before = self._position_period, self._counted
+        if period and before is not None:
+            self._origin -= period * round((counted - before) / period)
+        self._counted = counted
+        return counted + self._origin
+
+    def _unrolled(self, counted: float) -> float:
+        """Return the position of an older count, which lies within half a turn of the last."""
+        period = self._position_period
+        if period and self._counted is not None:
+            counted -= period * round((counted - self._counted) / period)
+        return counted + self._origin

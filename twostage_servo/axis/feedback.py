@@ -1,8 +1,17 @@
-"""Which feedback is new: alive counters, lost and doubled frames, and how long ago the last fresh one came."""
+"""Which feedback is new, and how good it has been: alive counters, lost and repeated frames, and their age.
+
+In the manner of AUTOSAR's end-to-end protection: a counter and a checksum in each frame say what happened to it on the
+way, and a window over the last ticks says whether the channel as a whole is still to be relied on.
+"""
+
+from collections import deque
+
+WINDOW_TICKS = 100
+"""Ticks over which the errors of the channel are counted."""
 
 
 class FeedbackMonitor:
-    """Follows the drive's alive counter.
+    """Follows the drive's alive counter, and counts what goes wrong on the way.
 
     Parameters
     ----------
@@ -11,24 +20,38 @@ class FeedbackMonitor:
 
     Attributes
     ----------
-    lost, doubled, reordered
-        Frames missed, repeated and overtaken so far, by the counter.
+    lost, doubled, reordered, rejected
+        Frames missed, repeated and overtaken so far by the counter, and those that could not be used at all.
     ticks_since_fresh
         Ticks since the last fresh feedback, 0 in a tick that had one; None before the first.
     """
 
-    __slots__ = ("_counter", "_modulus", "doubled", "lost", "reordered", "ticks_since_fresh")
+    __slots__ = (
+        "_counter", "_errors", "_errors_now", "_modulus", "_window", "doubled", "lost", "rejected", "reordered",
+        "ticks_since_fresh",
+    )  # fmt: skip
 
     def __init__(self, counter_modulus: int) -> None:
         self._modulus = counter_modulus
         self._counter: int | None = None
-        self.lost = self.doubled = self.reordered = 0
+        self.lost = self.doubled = self.reordered = self.rejected = 0
         self.ticks_since_fresh: int | None = None
+        self._window: deque[int] = deque([0] * WINDOW_TICKS, WINDOW_TICKS)
+        self._errors = 0
+        self._errors_now = 0
 
     def begin_tick(self, missed: int) -> None:
         """Let the age of the last feedback grow by this tick and those missed before it."""
         if self.ticks_since_fresh is not None:
             self.ticks_since_fresh += 1 + missed
+        self._errors += self._errors_now - self._window[0]
+        self._window.append(self._errors_now)
+        self._errors_now = 0
+
+    @property
+    def recent_errors(self) -> int:
+        """Frames lost, repeated, overtaken or rejected in the last :data:`WINDOW_TICKS` ticks, this one included."""
+        return self._errors + self._errors_now
 
     def accept(self, counter: int | None) -> bool:
         """Take a frame's counter; return whether the frame is newer than all before it.
@@ -42,16 +65,26 @@ class FeedbackMonitor:
             if not silent:
                 if step == 0:
                     self.doubled += 1
+                    self._errors_now += 1
                     return False
                 if step > self._modulus // 2:
                     self.reordered += 1
+                    self._errors_now += 1
                     return False
                 self.lost += step - 1
+                self._errors_now += step - 1
         self._counter = counter
         self.ticks_since_fresh = 0
         return True
+
+    def reject(self) -> None:
+        """Count a frame that could not be used: a wrong checksum or length, or a reserved value."""
+        self.rejected += 1
+        self._errors_now += 1
 
     def forget(self) -> None:
         """Start afresh, as after the bus was reopened."""
         self._counter = None
         self.ticks_since_fresh = None
+        self._window.extend([0] * WINDOW_TICKS)
+        self._errors = self._errors_now = 0

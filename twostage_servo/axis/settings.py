@@ -1,6 +1,6 @@
 """The tables ``[axis]`` and below: what the axis is, how its law is designed, and what it must never exceed."""
 
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -60,7 +60,7 @@ class LimitSettings(Settings):
     position_maximum: float = quantity(unit="axis unit", description="Highest set-point accepted", ge=-1e9, le=1e9)
     position_overrun: float = quantity(
         unit="axis unit",
-        description="Distance past the lowest or highest set-point at which the axis trips",
+        description="Distance past the lowest or highest set-point in which the axis must come to rest, or it trips",
         gt=0.0,
         le=1e9,
     )
@@ -78,6 +78,9 @@ class LimitSettings(Settings):
         unit="axis unit/s²", description="Slope of the speed reference in a quick stop", gt=0.0, le=1e12
     )
     effort: float = quantity(unit="effort unit", description="Largest magnitude of the effort", gt=0.0, le=1e9)
+    effort_rate: float = quantity(
+        unit="effort unit/s", description="Largest slope of the effort, but for disabling", gt=0.0, le=1e12
+    )
     effort_saturation_ms: float = quantity(
         unit="ms", description="Time at the effort limit after which the axis trips", gt=0.0, le=60_000.0
     )
@@ -90,8 +93,40 @@ class LimitSettings(Settings):
         ge=0.0,
         le=60.0,
     )
+    innovation: float = quantity(
+        unit="axis unit",
+        description="Farthest that a measured position may lie from its prediction, at standstill; beyond it is not "
+        "believed, and a second one in a row trips",
+        gt=0.0,
+        le=1e9,
+    )
+    innovation_time_ms: float = quantity(
+        unit="ms",
+        description="What is added to it for each axis unit/s of speed: what dates of samples may be off",
+        ge=0.0,
+        le=100.0,
+    )
+    jam_effort: float = quantity(
+        unit="effort unit",
+        description="Effort, or change of effort, at which an axis that stands still is jammed; more than its friction",
+        gt=0.0,
+        le=1e9,
+    )
+    jam_time_ms: float = quantity(unit="ms", description="Time for which it may do so", gt=0.0, le=60_000.0)
     stale_feedback_ms: float = quantity(
         unit="ms", description="Time without fresh feedback after which an armed axis trips", gt=0.0, le=10_000.0
+    )
+    feedback_errors: int = quantity(
+        unit="frames",
+        description="Frames lost, corrupted, repeated or overtaken in the last 100 ticks at which an armed axis trips",
+        ge=1,
+        le=100,
+    )
+    heartbeat_ms: float = quantity(
+        unit="ms",
+        description="Time without the drive's heartbeat after which an armed axis trips, where the drive has one",
+        gt=0.0,
+        le=60_000.0,
     )
     missed_ticks: int = quantity(
         unit="ticks", description="Ticks missed in one go after which an armed axis trips", ge=0, le=1000
@@ -114,6 +149,10 @@ class LimitSettings(Settings):
                 f"overspeed = {self.overspeed:g} is not above velocity = {self.velocity:g}, so an ordinary cruise "
                 f"would trip; about {1.25 * self.velocity:g} is usual"
             )
+        if self.jam_effort > self.effort:
+            raise ValueError(
+                f"jam_effort = {self.jam_effort:g} is above effort = {self.effort:g}, so a jam would never be noticed"
+            )
         return self
 
 
@@ -125,6 +164,50 @@ class WindowSettings(Settings):
     )
     time_ms: float = quantity(
         unit="ms", description="Time for which the position must stay in the window", ge=0.0, le=60_000.0
+    )
+
+
+class HomingSettings(Settings):
+    """How the axis finds the place from which positions are counted."""
+
+    required: bool = Field(
+        default=False, description="Whether set-points are refused until the axis is homed (an incremental encoder)"
+    )
+    method: Literal["set_here", "switch", "hard_stop", "index"] = Field(
+        "set_here",
+        description="Reference: where the axis stands, a home switch, a rigid stop, or the encoder's index mark",
+    )
+    position: float = quantity(0.0, unit="axis unit", description="Position of the reference", ge=-1e9, le=1e9)
+    direction: Literal["positive", "negative"] = Field("negative", description="Way in which to look for the reference")
+    velocity: float = quantity(
+        20.0, unit="axis unit/s", description="Speed of the search, and of a jog before", gt=0, le=1e9
+    )
+    slow_velocity: float = quantity(
+        5.0, unit="axis unit/s", description="Speed at which the reference itself is taken", gt=0.0, le=1e9
+    )
+    effort: float = quantity(
+        5.0, unit="effort unit", description="Largest effort in the search for a hard stop", gt=0.0, le=1e9
+    )
+    stop_time_ms: float = quantity(
+        200.0, unit="ms", description="Standstill at that effort that counts as the hard stop", gt=0.0, le=60_000.0
+    )
+    travel: float = quantity(
+        1000.0, unit="axis unit", description="Distance after which the search has failed", gt=0.0, le=1e9
+    )
+
+
+class ApproachSettings(Settings):
+    """From which side a move ends, so that backlash does not show."""
+
+    direction: Literal["either", "positive", "negative"] = Field(
+        "either", description="Direction of the last part of every move"
+    )
+    distance: float = quantity(
+        1.0,
+        unit="axis unit",
+        description="How far a move from the other side goes past its set-point first",
+        gt=0,
+        le=1e9,
     )
 
 
@@ -140,16 +223,35 @@ class AxisSettings(Settings):
     arming_timeout_ms: float = quantity(
         500.0, unit="ms", description="Time that the drive may take to report that it is enabled", gt=0.0, le=60_000.0
     )
+    jog_timeout_ms: float = quantity(
+        300.0,
+        unit="ms",
+        description="Time after which a jog ends that its operator has not renewed",
+        gt=0.0,
+        le=2_000.0,
+    )
     plant: PlantSettings
     law: LawSettings = LawSettings()
     observer: ObserverSettings = ObserverSettings()
     limits: LimitSettings
     window: WindowSettings
+    homing: HomingSettings = HomingSettings()
+    approach: ApproachSettings = ApproachSettings()
 
     @model_validator(mode="after")
     def _cruise_within_limits(self) -> Self:
         if self.cruise_velocity > self.limits.velocity:
             raise ValueError(
                 f"cruise_velocity = {self.cruise_velocity:g} is above limits.velocity = {self.limits.velocity:g}: lower"
+            )
+        for name in ("velocity", "slow_velocity"):
+            if getattr(self.homing, name) > self.limits.velocity:
+                raise ValueError(
+                    f"homing.{name} = {getattr(self.homing, name):g} is above limits.velocity = "
+                    f"{self.limits.velocity:g}: lower it"
+                )
+        if self.homing.effort > self.limits.effort:
+            raise ValueError(
+                f"homing.effort = {self.homing.effort:g} is above limits.effort = {self.limits.effort:g}: lower it"
             )
         return self

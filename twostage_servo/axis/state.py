@@ -1,30 +1,38 @@
-"""The state machine of an axis: a pure table from state and event to the next state."""
+"""The state machine of an axis in the terms of CiA 402: a pure table from state and event to the next state."""
 
 import enum
 from types import MappingProxyType
 
 
 class State(enum.StrEnum):
-    """States of an axis, with the CiA 402 state each corresponds to."""
+    """States of an axis. :data:`CIA402` names the state of CiA 402 (IEC 61800-7-201) that each one refines."""
 
     DISARMED = "disarmed"
-    """Ready to switch on: effort zero, drive disabled."""
+    """Effort zero, drive told to be disabled."""
     ARMING = "arming"
-    """Switched on: the drive is told to enable, effort zero, until it reports that it is enabled."""
+    """The drive is told to enable, effort zero, until it reports that it is enabled."""
     HOLDING = "holding"
-    """Operation enabled, target reached: the position stage holds the set-point."""
+    """The position stage holds the place."""
     SPEED_STAGE = "moving_speed_stage"
-    """Operation enabled: cruising towards the set-point."""
+    """Cruising towards the set-point."""
     POSITION_STAGE = "moving_position_stage"
-    """Operation enabled: closing in on the set-point."""
+    """Closing in on the set-point."""
+    JOGGING = "jogging"
+    """Moving for as long as the operator asks for it."""
+    HOMING = "homing"
+    """Looking for the place from which positions are counted."""
     STOPPING = "stopping"
-    """Operation enabled, halt: braking, to hold where the axis comes to rest."""
+    """Controlled stop: braking with the acceleration limit, to hold where the axis comes to rest."""
+    QUICK_STOPPING = "quick_stopping"
+    """The operator's quick stop: braking with the quick stop deceleration, then to hold."""
     DISARMING = "disarming"
-    """Braking, to be disarmed when the axis is at rest."""
-    QUICK_STOP = "tripped_quick_stop"
-    """Quick stop active: a trip has latched, braking."""
+    """Controlled stop, to be disarmed at rest."""
+    TRIPPED_STOPPING = "tripped_stopping"
+    """A trip has latched: controlled stop, then disabled."""
+    TRIPPED_QUICK_STOP = "tripped_quick_stop"
+    """A trip has latched: quick stop, then disabled."""
     TRIPPED = "tripped"
-    """Fault: a trip has latched, effort zero, drive disabled, until reset."""
+    """A trip has latched: effort zero, drive told to be disabled, until reset."""
 
 
 class Event(enum.StrEnum):
@@ -36,60 +44,112 @@ class Event(enum.StrEnum):
     DISARM = "disarm"
     MOVE_SPEED = "move_speed_stage"
     MOVE_POSITION = "move_position_stage"
+    JOG = "jog"
+    HOME = "home"
     CHANGEOVER = "changeover"
     REACHED = "reached"
     STOP = "stop"
+    QUICK_STOP = "quick_stop"
     AT_REST = "at_rest"
+    TRIP_STOP = "trip_stop"
     TRIP_QUICK_STOP = "trip_quick_stop"
     TRIP_DISABLE = "trip_disable"
     RESET = "reset"
 
 
 _S, _E = State, Event
-_OPERATING = (_S.HOLDING, _S.SPEED_STAGE, _S.POSITION_STAGE, _S.STOPPING)
-_MOVABLE = (_S.HOLDING, _S.SPEED_STAGE, _S.POSITION_STAGE)
+_SET_POINT = (_S.HOLDING, _S.SPEED_STAGE, _S.POSITION_STAGE)
+_COMMANDED = (_S.SPEED_STAGE, _S.POSITION_STAGE, _S.JOGGING, _S.HOMING)
+_OPERATING = (_S.HOLDING, *_COMMANDED, _S.STOPPING, _S.QUICK_STOPPING, _S.DISARMING)
 
 TRANSITIONS: MappingProxyType[tuple[State, Event], State] = MappingProxyType(
     {
         (_S.DISARMED, _E.ARM): _S.ARMING,
         (_S.ARMING, _E.ENABLED): _S.HOLDING,
         (_S.ARMING, _E.ENABLED_MOVING): _S.STOPPING,
-        (_S.ARMING, _E.DISARM): _S.DISARMED,
-        (_S.DISARMED, _E.DISARM): _S.DISARMED,
-        (_S.HOLDING, _E.DISARM): _S.DISARMED,
-        (_S.SPEED_STAGE, _E.DISARM): _S.DISARMING,
-        (_S.POSITION_STAGE, _E.DISARM): _S.DISARMING,
-        (_S.STOPPING, _E.DISARM): _S.DISARMING,
-        (_S.DISARMING, _E.DISARM): _S.DISARMING,
-        (_S.DISARMING, _E.AT_REST): _S.DISARMED,
-        **{(state, _E.MOVE_SPEED): _S.SPEED_STAGE for state in _MOVABLE},
-        **{(state, _E.MOVE_POSITION): _S.POSITION_STAGE for state in _MOVABLE},
-        (_S.SPEED_STAGE, _E.CHANGEOVER): _S.POSITION_STAGE,
-        (_S.POSITION_STAGE, _E.REACHED): _S.HOLDING,
-        (_S.SPEED_STAGE, _E.STOP): _S.STOPPING,
-        (_S.POSITION_STAGE, _E.STOP): _S.STOPPING,
-        (_S.STOPPING, _E.STOP): _S.STOPPING,
+        # What the operator asks for
+        **{(state, _E.MOVE_SPEED): _S.SPEED_STAGE for state in _SET_POINT},
+        **{(state, _E.MOVE_POSITION): _S.POSITION_STAGE for state in _SET_POINT},
+        **{(state, _E.JOG): _S.JOGGING for state in (_S.HOLDING, _S.JOGGING)},
+        (_S.HOLDING, _E.HOME): _S.HOMING,
         (_S.HOLDING, _E.STOP): _S.HOLDING,
-        (_S.STOPPING, _E.AT_REST): _S.HOLDING,
-        **{(state, _E.TRIP_QUICK_STOP): _S.QUICK_STOP for state in (*_OPERATING, _S.DISARMING)},
-        (_S.ARMING, _E.TRIP_QUICK_STOP): _S.TRIPPED,
-        **{(state, _E.TRIP_DISABLE): _S.TRIPPED for state in (_S.ARMING, *_OPERATING, _S.DISARMING, _S.QUICK_STOP)},
-        (_S.QUICK_STOP, _E.AT_REST): _S.TRIPPED,
+        **{(state, _E.STOP): _S.STOPPING for state in (*_COMMANDED, _S.STOPPING)},
+        (_S.QUICK_STOPPING, _E.STOP): _S.QUICK_STOPPING,
+        (_S.HOLDING, _E.QUICK_STOP): _S.HOLDING,
+        **{(state, _E.QUICK_STOP): _S.QUICK_STOPPING for state in (*_COMMANDED, _S.STOPPING, _S.QUICK_STOPPING)},
+        **{(state, _E.DISARM): _S.DISARMED for state in (_S.DISARMED, _S.ARMING, _S.HOLDING)},
+        **{(state, _E.DISARM): _S.DISARMING for state in (*_COMMANDED, _S.STOPPING, _S.QUICK_STOPPING, _S.DISARMING)},
         (_S.TRIPPED, _E.RESET): _S.DISARMED,
         (_S.DISARMED, _E.RESET): _S.DISARMED,
+        # What the motion comes to
+        (_S.SPEED_STAGE, _E.CHANGEOVER): _S.POSITION_STAGE,
+        (_S.POSITION_STAGE, _E.CHANGEOVER): _S.POSITION_STAGE,
+        (_S.JOGGING, _E.CHANGEOVER): _S.JOGGING,
+        (_S.HOMING, _E.CHANGEOVER): _S.HOMING,
+        **{(state, _E.REACHED): _S.HOLDING for state in (_S.POSITION_STAGE, _S.JOGGING, _S.HOMING)},
+        (_S.STOPPING, _E.AT_REST): _S.HOLDING,
+        (_S.QUICK_STOPPING, _E.AT_REST): _S.HOLDING,
+        (_S.DISARMING, _E.AT_REST): _S.DISARMED,
+        (_S.TRIPPED_STOPPING, _E.AT_REST): _S.TRIPPED,
+        (_S.TRIPPED_QUICK_STOP, _E.AT_REST): _S.TRIPPED,
+        # Trips: the most severe reaction wins, and none of them is taken back
+        **{(state, _E.TRIP_STOP): _S.TRIPPED_STOPPING for state in (*_OPERATING, _S.TRIPPED_STOPPING)},
+        (_S.TRIPPED_QUICK_STOP, _E.TRIP_STOP): _S.TRIPPED_QUICK_STOP,
+        **{
+            (state, _E.TRIP_QUICK_STOP): _S.TRIPPED_QUICK_STOP
+            for state in (*_OPERATING, _S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP)
+        },
+        (_S.ARMING, _E.TRIP_STOP): _S.TRIPPED,
+        (_S.ARMING, _E.TRIP_QUICK_STOP): _S.TRIPPED,
+        **{
+            (state, _E.TRIP_DISABLE): _S.TRIPPED
+            for state in (_S.ARMING, *_OPERATING, _S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP)
+        },
     }
 )
 
-DRIVEN = frozenset({*_OPERATING, _S.DISARMING, _S.QUICK_STOP})
+CIA402: MappingProxyType[State, str] = MappingProxyType(
+    {
+        _S.DISARMED: "ready to switch on",
+        _S.ARMING: "switched on",
+        **dict.fromkeys(_SET_POINT, "operation enabled"),
+        **dict.fromkeys((_S.JOGGING, _S.HOMING, _S.STOPPING, _S.DISARMING), "operation enabled"),
+        _S.QUICK_STOPPING: "quick stop active",
+        _S.TRIPPED_STOPPING: "fault reaction active",
+        _S.TRIPPED_QUICK_STOP: "fault reaction active",
+        _S.TRIPPED: "fault",
+    }
+)
+"""The state of CiA 402 that each state refines; a disarmed axis that may not be armed is `switch on disabled`."""
+
+DRIVEN = frozenset({*_OPERATING, _S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP})
 """States in which the law runs and the effort may be other than zero."""
 
 ENABLED = DRIVEN | {_S.ARMING}
 """States in which the drive is told to be enabled."""
 
 MOVING = frozenset({_S.SPEED_STAGE, _S.POSITION_STAGE})
-"""States in which a move is under way."""
+"""States in which a move to a set-point is under way."""
+
+BRAKING = frozenset({_S.STOPPING, _S.QUICK_STOPPING, _S.DISARMING, _S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP})
+"""States in which the axis is being brought to rest."""
+
+LATCHED = frozenset({_S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP, _S.TRIPPED})
+"""States of an axis that has tripped."""
 
 
 def next_state(state: State, event: Event) -> State | None:
     """Return the state that follows, or None where the event is not admitted in this state."""
     return TRANSITIONS.get((state, event))
+
+
+def transition_table() -> str:
+    """Return the whole table as Markdown, a row a state and a column an event, as it stands in the docs."""
+    lines = [
+        "| state | CiA 402 | " + " | ".join(f"`{event}`" for event in Event) + " |",
+        "|---" * (len(Event) + 2) + "|",
+    ]
+    for state in State:
+        cells = [f"`{after}`" if (after := next_state(state, event)) else "" for event in Event]
+        lines.append(f"| `{state}` | {CIA402[state]} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)

@@ -4,8 +4,15 @@ import math
 from collections.abc import Iterator
 
 from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES, Motion
+from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.two_stage import TwoStageLaw
+from twostage_servo.control.two_stage import Stage
+
+Violation = tuple[TripCode, str]
+
+_BRAKING_PATIENCE = 2.0
+"""How many times its designed duration a braking may take."""
 
 
 class Supervision:
@@ -19,29 +26,34 @@ class Supervision:
     ----------
     design
         Limits, position window, units and gains.
-    law, nominal
+    motion
         The law that drives the axis, and the same law on the model.
     """
 
     __slots__ = (
-        "_changeover_time_s", "_law", "_nominal", "_saturation_ticks", "_settings", "_speed_of_move",
-        "_ticks_in_window", "_ticks_saturated", "_window_ticks",
+        "_braking_ticks", "_braking_ticks_allowed", "_changeover_time_s", "_design", "_jam_ticks", "_motion",
+        "_saturation_ticks", "_settings", "_speed_of_move", "_ticks_in_window", "_ticks_jammed", "_ticks_saturated",
+        "_window_ticks",
     )  # fmt: skip
 
-    def __init__(self, design: AxisDesign, law: TwoStageLaw, nominal: TwoStageLaw) -> None:
+    def __init__(self, design: AxisDesign, motion: Motion) -> None:
+        self._design = design
         settings = self._settings = design.settings
-        self._law = law
-        self._nominal = nominal
-        self._saturation_ticks = math.ceil(settings.limits.effort_saturation_ms / (1e3 * design.period_s))
-        self._window_ticks = math.ceil(settings.window.time_ms / (1e3 * design.period_s))
+        self._motion = motion
+        self._saturation_ticks = design.ticks(settings.limits.effort_saturation_ms)
+        self._jam_ticks = design.ticks(settings.limits.jam_time_ms)
+        self._window_ticks = design.ticks(settings.window.time_ms)
         self._changeover_time_s = design.gains.changeover_time_s(design.period_s)
         self._ticks_in_window = 0
         self.start()
 
     def start(self) -> None:
-        """Begin afresh: at arming, and when a quick stop takes over."""
-        self._ticks_saturated = 0
+        """Begin afresh: at arming, and when a stop takes over."""
+        self._ticks_saturated = self._ticks_jammed = 0
+        self._braking_ticks = 0
+        self._braking_ticks_allowed: float = math.inf
         self.forget_move()
+        self.begin_move()
 
     def forget_move(self) -> None:
         """Allow no more than at standstill from here on: the axis has arrived or come to rest."""
@@ -51,10 +63,16 @@ class Supervision:
         """Begin to wait for the position window anew."""
         self._ticks_in_window = 0
 
+    def begin_braking(self, deceleration: float) -> None:
+        """Begin to wait for the axis to come to rest with a deceleration in axis unit/s²."""
+        self.start()
+        duration_s = self._design.stopping_time_s(self._motion.law.observer.velocity, deceleration)
+        self._braking_ticks_allowed = _BRAKING_PATIENCE * duration_s / self._design.period_s
+
     def has_arrived(self, position: float) -> bool:
         """Whether a fresh measured position (axis unit) has been in the position window for its time; once a tick."""
         window = self._settings.window.position
-        target, designed = self._law.target, self._nominal.observer
+        target, designed = self._motion.law.target, self._motion.nominal.observer
         # A slow response may cross the window for longer than its dwell: the designed one has to be at rest there too.
         inside = (
             abs(target - position) <= window
@@ -64,50 +82,160 @@ class Supervision:
         self._ticks_in_window = self._ticks_in_window + 1 if inside else 0
         return self._ticks_in_window > self._window_ticks
 
-    @property
-    def following_error(self) -> float:
-        """Estimated position minus the position that the axis is designed to have now, in axis unit."""
-        return self._law.observer.position - self._nominal.observer.position
+    def violations(self, state: State, *, referenced: bool) -> Iterator[Violation]:
+        """Yield code and cause of each limit that the axis breaks in this tick; call it once a tick.
 
-    def is_inside(self, position: float, overrun: float) -> bool:
-        """Whether a position (axis unit) is within the position limits, or past them by no more than the overrun."""
-        limits = self._settings.limits
-        return limits.position_minimum - overrun <= position <= limits.position_maximum + overrun
+        Parameters
+        ----------
+        state
+            What the axis is doing: a search for a hard stop is meant to be stopped by it, and a quick stop is already
+            the best that can be done near a position limit.
+        referenced
+            Whether positions can be trusted; else the position limits mean nothing.
+        """
+        yield from self._speed()
+        if not self._motion.blind:
+            yield from self._innovation()
+        if state in BRAKING:
+            yield from self._braking()
+            return
+        if state is State.HOMING and self._settings.homing.method == "hard_stop":
+            return
+        if referenced and state is not State.HOMING:
+            yield from self._position()
+        yield from self._jam()
+        yield from self._model()
+        yield from self._following()
+        yield from self._saturation()
 
-    def violations(self) -> Iterator[tuple[TripCode, str]]:
-        """Yield code and cause of each limit that the axis breaks in this tick; call it once a tick."""
-        limits, unit = self._settings.limits, self._settings.unit
-        position, velocity = self._law.observer.position, self._law.observer.velocity
-        if not abs(velocity) <= limits.overspeed:
+    def _speed(self) -> Iterator[Violation]:
+        velocity, limit = self._motion.law.observer.velocity, self._settings.limits.overspeed
+        if not abs(velocity) <= limit:
+            unit = self._settings.unit
             yield (
                 TripCode.OVERSPEED,
-                f"the estimated velocity is {velocity:.4g} {unit}/s; axis.limits.overspeed is {limits.overspeed:g}",
+                f"the estimated velocity is {velocity:.4g} {unit}/s; axis.limits.overspeed is {limit:g}",
             )
-        if not self.is_inside(position, limits.position_overrun):
+
+    def _braking(self) -> Iterator[Violation]:
+        self._braking_ticks += 1
+        if self._braking_ticks > self._braking_ticks_allowed:
+            observer, period_s = self._motion.law.observer, self._design.period_s
+            yield (
+                TripCode.BRAKING_FAILED,
+                (
+                    f"after {1e3 * self._braking_ticks * period_s:g} ms of braking the axis still moves at "
+                    f"{observer.velocity:.4g} {self._settings.unit}/s; "
+                    f"{1e3 * self._braking_ticks_allowed * period_s:.4g} ms are allowed"
+                ),
+            )
+
+    def _innovation(self) -> Iterator[Violation]:
+        motion, unit = self._motion, self._settings.unit
+        if motion.implausible >= IMPLAUSIBLE_SAMPLES:
+            yield (
+                TripCode.POSITION_JUMP,
+                (
+                    f"{motion.implausible} measured positions in a row lie up to {motion.implausible_distance:+.4g} "
+                    f"{unit} from their prediction, at {motion.law.observer.position:.6g} {unit} and "
+                    f"{motion.law.observer.velocity:.4g} {unit}/s: the encoder jumped, stands still or counts wrongly; "
+                    f"{motion.innovation_limit:.3g} {unit} is allowed (axis.limits.innovation)"
+                ),
+            )
+
+    def _position(self) -> Iterator[Violation]:
+        """Trip while a quick stop still ends within the overrun."""
+        limits, unit = self._settings.limits, self._settings.unit
+        position, velocity = self._motion.law.observer.position, self._motion.law.observer.velocity
+        distance = self._design.certain_stopping_distance(velocity, limits.quick_stop_deceleration)
+        ahead = math.copysign(distance, velocity)
+        lowest, highest = min(position, position + ahead), max(position, position + ahead)
+        overrun = limits.position_overrun
+        if not (lowest >= limits.position_minimum - overrun and highest <= limits.position_maximum + overrun):
             yield (
                 TripCode.POSITION_LIMIT,
                 (
-                    f"the axis is at {position:.6g} {unit}; its limits are {limits.position_minimum:g} and "
-                    f"{limits.position_maximum:g} {unit} with an overrun of {limits.position_overrun:g} {unit}"
+                    f"the axis is at {position:.6g} {unit} with {velocity:.4g} {unit}/s and needs "
+                    f"{abs(ahead):.4g} {unit} "
+                    f"to stop; its limits are {limits.position_minimum:g} and "
+                    f"{limits.position_maximum:g} {unit} with an "
+                    f"overrun of {limits.position_overrun:g} {unit}"
                 ),
             )
-        error = self.following_error
-        self._speed_of_move = max(self._speed_of_move, abs(self._nominal.observer.velocity))
+
+    def _jam(self) -> Iterator[Violation]:
+        """Watch for an axis that stands still, by its estimated speed or by an encoder that shows no other position."""
+        limits, law, motion = self._settings.limits, self._motion.law, self._motion
+        rest, unit, effort_unit = self._design.rest_velocity, self._settings.unit, self._settings.effort_unit
+        stuck = (
+            abs(law.effort) >= limits.jam_effort
+            and abs(law.observer.velocity) <= rest
+            and abs(motion.nominal.observer.velocity) > rest
+        )
+        self._ticks_jammed = self._ticks_jammed + 1 if stuck else 0
+        if self._ticks_jammed >= self._jam_ticks:
+            yield (
+                TripCode.JAM,
+                (
+                    f"the axis has stood still at {law.observer.position:.6g} {unit} for "
+                    f"{limits.jam_time_ms:g} ms though "
+                    f"the effort is {law.effort:.4g} {effort_unit}; axis.limits.jam_effort is {limits.jam_effort:g}"
+                ),
+            )
+        if motion.unchanged_effort >= limits.jam_effort and motion.unchanged_ticks > self._jam_ticks:
+            yield (
+                TripCode.JAM,
+                (
+                    f"the encoder has shown the same position, {law.observer.position:.6g} {unit}, "
+                    "while the effort changed "
+                    f"by {motion.unchanged_effort:.4g} {effort_unit}; axis.limits.jam_effort is {limits.jam_effort:g}"
+                ),
+            )
+
+    def _model(self) -> Iterator[Violation]:
+        test = self._motion.model_test
+        if (factor := test.better_gain_factor) is not None:
+            what = "the sign" if factor < 0.0 else "the scale"
+            yield (
+                TripCode.SIGN_REVERSED if factor < 0.0 else TripCode.MODEL_MISMATCH,
+                (
+                    f"a plant with {factor:g} times the model's gain explains the motion far better "
+                    "than the model, which "
+                    f"is off by {test.surprise:.3g} {self._settings.unit} of late: {what} of "
+                    "encoder or effort is wrong, "
+                    "or [axis.plant] is"
+                ),
+            )
+
+    def _following(self) -> Iterator[Violation]:
+        limits, unit = self._settings.limits, self._settings.unit
+        error = self._motion.following_error
+        self._speed_of_move = max(self._speed_of_move, abs(self._motion.nominal.observer.velocity))
         allowed = max(limits.following_error_minimum, limits.following_error_time_s * self._speed_of_move)
         if not abs(error) <= allowed:
             yield (
                 TripCode.FOLLOWING_ERROR,
                 (
-                    f"at {position:.6g} {unit} the axis is {error:.4g} {unit} from where it is designed to be; "
-                    f"{allowed:.4g} {unit} is allowed in a move at {self._speed_of_move:.4g} {unit}/s"
+                    f"at {self._motion.law.observer.position:.6g} {unit} the axis is {error:.4g} {unit} from where it "
+                    f"is designed to be; {allowed:.4g} {unit} is allowed in a move at "
+                    f"{self._speed_of_move:.4g} {unit}/s"
                 ),
             )
-        self._ticks_saturated = self._ticks_saturated + 1 if self._law.saturated else 0
+
+    def _saturation(self) -> Iterator[Violation]:
+        limits, law = self._settings.limits, self._motion.law
+        self._ticks_saturated = self._ticks_saturated + 1 if law.saturated else 0
         if self._ticks_saturated >= self._saturation_ticks:
+            in_speed = law.stage is Stage.SPEED
+            what = (
+                f"{law.cruise_velocity:.4g} {self._settings.unit}/s can't be reached"
+                if in_speed
+                else "a load, or a jam"
+            )
             yield (
-                TripCode.EFFORT_SATURATED,
+                TripCode.SPEED_UNREACHABLE if in_speed else TripCode.EFFORT_SATURATED,
                 (
                     f"the effort has stood at its limit of {limits.effort:g} {self._settings.effort_unit} for "
-                    f"{limits.effort_saturation_ms:g} ms at {velocity:.4g} {unit}/s: an unreachable speed, or a jam"
+                    f"{limits.effort_saturation_ms:g} ms at {law.observer.velocity:.4g} {self._settings.unit}/s: {what}"
                 ),
             )

@@ -3,89 +3,202 @@
 import enum
 from dataclasses import dataclass
 
+from twostage_servo.axis.state import Event
+
 
 class Reaction(enum.IntEnum):
-    """What a trip does to the motion; the more severe one wins."""
+    """What becomes of the motion; the more severe one wins."""
 
-    QUICK_STOP = 1
-    """Brake with the quick stop deceleration, then disable."""
-    DISABLE = 2
-    """Effort zero and drive disabled at once."""
+    NONE = 0
+    """Tolerated: the model bridges it, and it is counted."""
+    HOLD = 1
+    """Controlled stop, then hold; nothing latches."""
+    CONTROLLED_STOP = 2
+    """Brake with the acceleration limit, then disable; latched."""
+    QUICK_STOP = 3
+    """Brake with the quick stop deceleration, then disable; latched."""
+    DISABLE = 4
+    """Effort zero and drive disabled at once; latched."""
+
+
+EVENTS = {
+    Reaction.CONTROLLED_STOP: Event.TRIP_STOP,
+    Reaction.QUICK_STOP: Event.TRIP_QUICK_STOP,
+    Reaction.DISABLE: Event.TRIP_DISABLE,
+}
+"""The event by which each latching reaction enters the state machine."""
 
 
 class TripCode(enum.StrEnum):
     """Stable names of the trips."""
 
     STALE_FEEDBACK = "stale_feedback"
+    FEEDBACK_ERRORS = "feedback_errors"
+    POSITION_JUMP = "position_jump"
+    MODEL_MISMATCH = "model_mismatch"
+    SIGN_REVERSED = "sign_reversed"
+    JAM = "jam"
+    SPEED_UNREACHABLE = "speed_unreachable"
+    EFFORT_SATURATED = "effort_saturated"
     FOLLOWING_ERROR = "following_error"
     POSITION_LIMIT = "position_limit"
+    LIMIT_SWITCH = "limit_switch"
     OVERSPEED = "overspeed"
-    EFFORT_SATURATED = "effort_saturated"
     MISSED_TICKS = "missed_ticks"
     NOT_FINITE = "not_finite"
+    BRAKING_FAILED = "braking_failed"
+    HOMING_FAILED = "homing_failed"
     DRIVE_FAULT = "drive_fault"
     DRIVE_DROPPED_OUT = "drive_dropped_out"
     DRIVE_NOT_ENABLED = "drive_not_enabled"
-    BUS_FAILED = "bus_failed"
+    DRIVE_REBOOTED = "drive_rebooted"
+    SAFE_TORQUE_OFF = "safe_torque_off"
+    HEARTBEAT_LOST = "heartbeat_lost"
+    COMMANDS_DROPPED = "commands_dropped"
     FOREIGN_COMMAND = "foreign_command"
+    BUS_FAILED = "bus_failed"
+    INTERNAL_ERROR = "internal_error"
 
 
 @dataclass(frozen=True, slots=True)
 class TripRule:
-    """What belongs to a trip's code."""
+    """What belongs to a trip's code.
+
+    Attributes
+    ----------
+    reaction
+        What becomes of the motion.
+    next_action
+        What the operator should do.
+    blind
+        Whether the feedback is no longer believed, so that the model alone has to brake.
+    estimate_lost
+        Whether even the speed is not known, so that a quick stop can do no more than take the effort away.
+    unreferenced
+        Whether positions can't be trusted any more until the axis has been homed again.
+    """
 
     reaction: Reaction
     next_action: str
+    blind: bool = False
+    estimate_lost: bool = False
+    unreferenced: bool = False
 
+
+_QUICK, _DISABLE = Reaction.QUICK_STOP, Reaction.DISABLE
 
 RULES: dict[TripCode, TripRule] = {
     TripCode.STALE_FEEDBACK: TripRule(
-        Reaction.DISABLE,
+        _QUICK,
         "Check the drive's supply, its bus cable and its identifiers, then `reset` and `arm`.",
+        blind=True,
+    ),
+    TripCode.FEEDBACK_ERRORS: TripRule(
+        _QUICK,
+        "Look for a bad cable, a missing termination or a second node with this identifier, then `reset` and `arm`.",
+        blind=True,
+    ),
+    TripCode.POSITION_JUMP: TripRule(
+        _QUICK,
+        "Check encoder and coupling; then `reset`, `arm`, and `home`: the position can't be trusted any more.",
+        blind=True,
+        unreferenced=True,
+    ),
+    TripCode.MODEL_MISMATCH: TripRule(
+        _QUICK,
+        "Check the encoder's sign and scale, the drive's gain and the plant model ([axis.plant], `design`), then "
+        "`reset` and `arm`.",
+    ),
+    TripCode.SIGN_REVERSED: TripRule(
+        _QUICK,
+        "Turn the encoder or the effort round (protocol.feedback.position_scale, axis.plant.gain, the wiring), then "
+        "`reset` and `arm`.",
+        estimate_lost=True,
+    ),
+    TripCode.JAM: TripRule(
+        _QUICK,
+        "Find what holds the axis, or the encoder that stands still, then `reset` and `arm`.",
+    ),
+    TripCode.SPEED_UNREACHABLE: TripRule(
+        Reaction.CONTROLLED_STOP,
+        "Lower the velocity, look for a load, or raise axis.limits.effort, then `reset` and `arm`.",
+    ),
+    TripCode.EFFORT_SATURATED: TripRule(
+        _QUICK,
+        "Look for what pushes the axis away, or raise axis.limits.effort, then `reset` and `arm`.",
     ),
     TripCode.FOLLOWING_ERROR: TripRule(
-        Reaction.QUICK_STOP,
+        _QUICK,
         "Look for a jam, a load or a wrong plant model ([axis.plant], `design`), then `reset` and `arm`.",
     ),
     TripCode.POSITION_LIMIT: TripRule(
-        Reaction.QUICK_STOP,
-        "Move the axis back between its position limits by hand, then `reset` and `arm`.",
+        _QUICK,
+        "See why the axis came so near to its limit at that speed, then `reset`, `arm` and move it back.",
+    ),
+    TripCode.LIMIT_SWITCH: TripRule(
+        _QUICK,
+        "`reset`, `arm` and move off the switch: only motion away from it is taken.",
     ),
     TripCode.OVERSPEED: TripRule(
-        Reaction.DISABLE,
+        _DISABLE,
         "Check the encoder's sign and scale and the plant model, then `reset` and `arm`.",
     ),
-    TripCode.EFFORT_SATURATED: TripRule(
-        Reaction.QUICK_STOP,
-        "Lower the velocity, look for a jam or a load, or raise axis.limits.effort, then `reset` and `arm`.",
-    ),
     TripCode.MISSED_TICKS: TripRule(
-        Reaction.QUICK_STOP,
+        _QUICK,
         "Look for what kept the processor from this service (load, swapping, a suspension), then `reset` and `arm`.",
     ),
     TripCode.NOT_FINITE: TripRule(
-        Reaction.DISABLE,
+        _DISABLE,
         "Report this with the recording of the last ticks (`status --recording`); then `reset` and `arm`.",
     ),
+    TripCode.BRAKING_FAILED: TripRule(
+        _DISABLE,
+        "It did not slow down as its model says: check that the drive follows the effort, then `reset` and `arm`.",
+    ),
+    TripCode.HOMING_FAILED: TripRule(
+        _QUICK,
+        "Check the reference that [axis.homing] names, and homing.travel, then `reset`, `arm` and `home`.",
+    ),
     TripCode.DRIVE_FAULT: TripRule(
-        Reaction.DISABLE,
+        _DISABLE,
         "Look up the drive's fault code in its manual, remove the cause, then `reset` and `arm`.",
     ),
     TripCode.DRIVE_DROPPED_OUT: TripRule(
-        Reaction.DISABLE,
+        _DISABLE,
         "The drive disabled itself: check its command time-out, safety inputs and supply, then `reset` and `arm`.",
     ),
     TripCode.DRIVE_NOT_ENABLED: TripRule(
-        Reaction.DISABLE,
+        _DISABLE,
         "The drive did not follow the enable bit: check its fault code and safety inputs, then `reset` and `arm`.",
     ),
+    TripCode.DRIVE_REBOOTED: TripRule(
+        _DISABLE,
+        "Check the drive's supply; then `reset`, `arm`, and `home`: the drive has forgotten where it was.",
+        unreferenced=True,
+    ),
+    TripCode.SAFE_TORQUE_OFF: TripRule(
+        _DISABLE,
+        "Find who asked for it (emergency stop, door, light curtain), release it, then `reset` and `arm`.",
+    ),
+    TripCode.HEARTBEAT_LOST: TripRule(
+        _DISABLE,
+        "The drive's firmware may hang: look at its state, switch it off and on, then `reset` and `arm`.",
+    ),
+    TripCode.COMMANDS_DROPPED: TripRule(
+        _QUICK,
+        "The bus does not take our frames: look for a babbling node or a lost termination, then `reset` and `arm`.",
+    ),
     TripCode.FOREIGN_COMMAND: TripRule(
-        Reaction.DISABLE,
+        _DISABLE,
         "End the other service or tool that commands this drive, then `reset` and `arm`.",
     ),
     TripCode.BUS_FAILED: TripRule(
-        Reaction.DISABLE,
+        _DISABLE,
         "Bring the bus back (interface, cable, whatever serves it); when `status` shows it open, `reset` and `arm`.",
+    ),
+    TripCode.INTERNAL_ERROR: TripRule(
+        _QUICK,
+        "Report this with the traceback in the log; the service ends and has to be started again.",
     ),
 }
 
@@ -117,3 +230,15 @@ class Trip:
     def next_action(self) -> str:
         """What the operator should do next."""
         return RULES[self.code].next_action
+
+
+def trip_table() -> str:
+    """Return the trips as Markdown, as they stand in the docs."""
+    lines = ["| trip | reaction | what to do next |", "|---|---|---|"]
+    for code, rule in RULES.items():
+        how = rule.reaction.name.lower().replace("_", " ")
+        how += ", on the model alone" if rule.blind else ""
+        how += ", without effort" if rule.estimate_lost else ""
+        how += "; the reference is lost" if rule.unreferenced else ""
+        lines.append(f"| `{code}` | {how} | {rule.next_action} |")
+    return "\n".join(lines)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Final
 
@@ -35,6 +36,8 @@ class ProtocolError(ValueError):
         super().__init__(text)
         self.key = key
 
+
+_LARGEST_DBC_BYTES: Final = 16_000_000
 
 ABSENT: Final = SignalCodec("", "", 1.0, 0.0, 0.0, {}, decode=lambda word: None, encode=lambda value: 0)  # noqa: ARG005
 """Stands for a signal that the drive does not have: nothing is read, no bit is set."""
@@ -193,10 +196,20 @@ def _load(dbc: str, folder: Path) -> tuple[Database, str]:
     try:
         # cp1252 is the encoding of DBC files. Not strict: a fault in a message that is not used does not matter.
         database = Database(strict=False)
-        database.add_dbc_string(path.read_bytes().decode("cp1252"))
+        database.add_dbc_string(_read(path).decode("cp1252"))
     except Exception as error:  # the parser, too, raises of its own
         raise ProtocolError(("protocol", "dbc"), f"cannot read the DBC file {path}: {error}") from error
     return database, str(path)
+
+
+def _read(path: Path | Traversable) -> bytes:
+    if not path.is_file():
+        raise ValueError("there is no such file" if not path.is_dir() else "this is a folder")
+    with path.open("rb") as file:
+        content: bytes = file.read(_LARGEST_DBC_BYTES + 1)
+    if len(content) > _LARGEST_DBC_BYTES:
+        raise ValueError(f"it is larger than {_LARGEST_DBC_BYTES} bytes")
+    return content
 
 
 @contextmanager

@@ -37,6 +37,10 @@ class FrameRejected(Exception):  # noqa: N818 - not an error of the program: a f
         self._message = message
         self._detail = detail
 
+    def __structlog__(self) -> str:
+        """Return the text, for a log that really is written."""
+        return str(self)
+
     def __str__(self) -> str:
         """Return the text. It is put together only here, because a babbling node makes many that nobody reads."""
         identifier = Identifier(self._message.arbitration_id, self._message.is_extended_id)

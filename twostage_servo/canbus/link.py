@@ -201,9 +201,12 @@ class Link:
                     messages.append(message)
             else:
                 counters.overruns += 1
-        except LinkError:
-            raise
         except Exception as error:  # an interface may raise anything
+            for _ in messages:  # what was read before is as stale as the bus is gone
+                counters.received += 1
+                counters.count_rejection("bus_failed")
+            if isinstance(error, LinkError):
+                raise
             raise self._error("failed while receiving", error) from error
         if self._age is not None:
             self._age.drained()

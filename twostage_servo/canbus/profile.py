@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 import can
 
@@ -32,6 +32,10 @@ __all__ = [
     "ProtocolError",
     "ProtocolSettings",
 ]
+
+
+LARGEST_POSITION: Final = 1e9
+"""Largest magnitude of a position that is believed, axis units: what a set-point may be at most."""
 
 
 class Feedback(NamedTuple):
@@ -227,14 +231,16 @@ class DriveProfile:
         return self._feedback.data(_encode(self._feedback_encoders, feedback))
 
     def decode_feedback(self, message: can.Message) -> Feedback:
-        """Read a feedback."""
+        """Read a feedback; a position beyond :data:`LARGEST_POSITION` is none."""
         word = self._feedback.word(message)
         position, counter, enabled, fault, fault_code, timeout, torque_off, positive, negative, home = (
             self._feedback_decoders
         )
         try:
+            place = position(word)
+            _check_position(place)
             return Feedback(
-                position(word),
+                place,
                 counter(word),
                 enabled(word),
                 fault(word),
@@ -268,9 +274,11 @@ class DriveProfile:
             raise FrameRejected("identifier", message, "this drive has no index message")
         word = self._index.word(message)
         try:
-            return Index._make([decode(word) for decode in self._index_decoders])
+            index = Index._make([decode(word) for decode in self._index_decoders])
+            _check_position(index.position)
         except UndecodableValue as error:
             raise FrameRejected(error.reason, message, str(error)) from error
+        return index
 
     def encode_heartbeat(self, heartbeat: Heartbeat) -> bytes:
         """Make the data of a heartbeat, as the drive does. None counts as 0.
@@ -298,6 +306,11 @@ class DriveProfile:
         if self.state_texts and heartbeat.state not in self.state_texts:
             raise FrameRejected("reserved_value", message, f"state {heartbeat.state} is not in the DBC's value table")
         return heartbeat
+
+
+def _check_position(position: float) -> None:
+    if not -LARGEST_POSITION <= position <= LARGEST_POSITION:
+        raise UndecodableValue("too_large", f"the position {position:g} is beyond {LARGEST_POSITION:g}")
 
 
 def _encode(encoders: Iterable[Callable[[float], int]], values: Iterable[float | None]) -> int:

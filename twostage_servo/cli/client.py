@@ -1,5 +1,6 @@
 """A client of the control socket, on plain blocking sockets and the standard library alone."""
 
+import contextlib
 import json
 import socket
 from collections.abc import Iterator
@@ -12,6 +13,8 @@ from twostage_servo.cli.output import CommandError, ExitCode
 Answer = dict[str, Any]
 
 _LONGEST_TICK_S = 0.1
+_PARTING_S = 1.0
+_READING = frozenset({"status", "watch", "recording"})
 BAD_USAGE = frozenset({"bad_request", "position_limit", "velocity_limit"})
 """Refusals for which the request alone is to blame, whatever the axis does."""
 
@@ -32,6 +35,7 @@ class Client:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout_s)
         self._timeout_s = timeout_s
+        self._has_commanded = False
         try:
             self._socket.connect(str(path))
         except OSError as error:
@@ -53,6 +57,11 @@ class Client:
     def __exit__(
         self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
     ) -> None:
+        if self._has_commanded:
+            # Leaving on purpose is not dying: what was asked for goes on without us.
+            self._socket.settimeout(_PARTING_S)
+            with contextlib.suppress(CommandError):
+                self.request(op="release")
         self._lines.close()
         self._socket.close()
 
@@ -64,6 +73,7 @@ class Client:
         CommandError
             If the service refuses it or does not answer.
         """
+        self._has_commanded = self._has_commanded or fields.get("op") not in _READING
         try:
             self._socket.sendall(json.dumps(fields, allow_nan=False).encode() + b"\n")
         except ValueError as error:

@@ -1,8 +1,9 @@
-"""The operator's verbs, clients of a running service: status, watch, arm, disarm, move, stop, reset."""
+"""The operator's verbs, clients of a running service: look at the axis, command it, bring it back after a trip."""
 
 import argparse
 import csv
 import itertools
+import math
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,12 @@ from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, not
 if TYPE_CHECKING:
     from twostage_servo.cli.client import Answer, Client
 
-_ARMED = {"holding", "moving_speed_stage", "moving_position_stage", "stopping", "disarming"}
+_ARMED = {
+    "holding", "moving_speed_stage", "moving_position_stage", "jogging", "homing", "stopping", "quick_stopping",
+    "disarming",
+}  # fmt: skip
+_BRAKING = {"stopping", "quick_stopping", "disarming", "tripped_stopping", "tripped_quick_stop"}
+_JOG_INTERVAL_S = 0.1
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -33,8 +39,20 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     move.add_argument("--by", type=float, metavar="DISTANCE", help="relative to the set-point in force")
     move.add_argument("--velocity", type=float, help="cruise velocity (default: the config's axis.cruise_velocity)")
     move.add_argument("--wait", action="store_true", help="show progress until the position is reached")
-    _verb(verbs, "stop", _stop, "bring the axis to rest and hold it there")
+    jog = _verb(verbs, "jog", _jog, "move for as long as this command runs, or for a time")
+    jog._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
+    jog.add_argument("velocity", type=float, help="velocity, whose sign is the direction")
+    jog.add_argument("--seconds", type=float, metavar="S", help="end after S seconds (default: at Ctrl-C)")
+    home = _verb(verbs, "home", _home, "find the reference from which positions are counted")
+    home._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
+    home.add_argument(
+        "--here", type=float, metavar="POSITION", help="do not search: the axis stands at this position now"
+    )
+    stop = _verb(verbs, "stop", _stop, "bring the axis to rest and hold it there, whoever commands it")
+    stop.add_argument("--quick", action="store_true", help="with the quick stop deceleration")
     _verb(verbs, "reset", _reset, "clear a trip; the axis is disarmed afterwards")
+    _verb(verbs, "release", _release, "take the lease from whoever holds it, while the axis is at rest")
+    _verb(verbs, "reload", _reload, "let the service read its configuration again, while the axis is disarmed")
 
 
 def _verb(verbs: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser:
@@ -118,13 +136,73 @@ def _arm(options: argparse.Namespace) -> ExitCode:
 def _disarm(options: argparse.Namespace) -> ExitCode:
     with _connect(options) as client:
         client.request(op="disarm")
-        return _finish(options, _wait_while(client, {"disarming", "tripped_quick_stop"}))
+        return _finish(options, _wait_while(client, _BRAKING))
 
 
 def _stop(options: argparse.Namespace) -> ExitCode:
     with _connect(options) as client:
+        client.request(op="stop", quick=options.quick)
+        return _finish(options, _wait_while(client, _BRAKING))
+
+
+def _jog(options: argparse.Namespace) -> ExitCode:
+    if options.seconds is not None and not 0.0 <= options.seconds < 1e6:
+        raise CommandError(ExitCode.USAGE, "usage", f"--seconds {options.seconds}: from 0 to 1e6 s are possible")
+    try:
+        with _connect(options) as client:
+            _renew_jog(client, options)
+            return _finish(options, _wait_while(client, _BRAKING))
+    except KeyboardInterrupt:
+        note("")
+    # A connection of its own: Ctrl-C may have come between a request and its answer.
+    with _connect(options) as client:
+        if client.request(op="status")["axis"]["state"] == "jogging":
+            client.request(op="stop")
+        return _finish(options, _wait_while(client, _BRAKING))
+
+
+def _renew_jog(client: "Client", options: argparse.Namespace) -> None:
+    import time
+
+    progress = Progress(quiet=options.json)
+    answer = client.request(op="jog", velocity=options.velocity)
+    number = answer["move"]["number"]
+    end_s = math.inf if options.seconds is None else time.monotonic() + options.seconds
+    try:
+        while answer["move"]["number"] == number and answer["move"]["outcome"] == "moving":
+            progress.show(_one_line(answer))
+            if (left_s := end_s - time.monotonic()) <= 0.0:
+                break
+            time.sleep(min(_JOG_INTERVAL_S, left_s))
+            # Looks before it asks again: a jog that a limit or another client has ended is not begun anew.
+            answer = client.request(op="status")
+            if answer["axis"]["state"] == "jogging":
+                answer = client.request(op="jog", velocity=options.velocity)
+    finally:
+        progress.end()
+    if answer["axis"]["state"] == "jogging":
         client.request(op="stop")
-        return _finish(options, _wait_while(client, {"stopping"}))
+
+
+def _home(options: argparse.Namespace) -> ExitCode:
+    with _connect(options) as client:
+        if options.here is not None:
+            return _finish(options, client.request(op="home", position=options.here))
+        answer = client.request(op="home")
+        if answer["axis"]["state"] != "homing":  # the place where the axis stands is the reference
+            return _finish(options, answer)
+        return _finish(options, _follow(client, answer["move"]["number"], quiet=options.json), moved=True)
+
+
+def _release(options: argparse.Namespace) -> ExitCode:
+    with _connect(options) as client:
+        client.request(op="take")
+        return _finish(options, client.request(op="release"))
+
+
+def _reload(options: argparse.Namespace) -> ExitCode:
+    with _connect(options) as client:
+        return _finish(options, client.request(op="reload"))
 
 
 def _reset(options: argparse.Namespace) -> ExitCode:
@@ -140,7 +218,7 @@ def _move(options: argparse.Namespace) -> ExitCode:
         answer = client.request(op="move", **{key: value for key, value in wanted.items() if value is not None})
         if options.wait:
             answer = _follow(client, answer["move"]["number"], quiet=options.json)
-    return _finish(options, answer)
+    return _finish(options, answer, moved=True)
 
 
 def _follow(client: "Client", number: int, *, quiet: bool) -> "Answer":
@@ -174,15 +252,15 @@ def _wait_while(client: "Client", states: set[str]) -> "Answer":
     return {"ok": True} | status
 
 
-def _finish(options: argparse.Namespace, status: "Answer") -> ExitCode:
+def _finish(options: argparse.Namespace, status: "Answer", *, moved: bool = False) -> ExitCode:
     if options.json:
         print_json(status)
     else:
         print_line(_one_line(status))
     if options.verb == "arm" and status["axis"]["state"] != "holding":
         return ExitCode.FAILED
-    not_reached = status["move"] is not None and status["move"]["outcome"] in {"stopped", "tripped"}
-    failed = status["trip"] or (options.verb == "move" and not_reached)
+    not_reached = moved and status["move"] is not None and status["move"]["outcome"] in {"stopped", "tripped"}
+    failed = status["trip"] or not_reached
     return ExitCode.FAILED if failed and options.verb != "disarm" else ExitCode.DONE
 
 
@@ -195,10 +273,15 @@ def _one_line(status: "Answer") -> str:
     text = f"{axis['name']}: {axis['state']} at {_number(axis['position'], axis['unit'])}"
     if axis["velocity"] is not None and axis["state"] != "holding":
         text += f", {axis['velocity']:.1f} {axis['unit']}/s"
+    if not axis["referenced"]:
+        text += ", not homed"
     if move and axis["state"] in _ARMED and move["outcome"] != "replaced":
-        text += f"; set-point {move['target']:g} {axis['unit']} {move['outcome']}"
+        what = f"set-point {move['target']:g} {axis['unit']}" if move["kind"] == "move" else move["kind"]
+        text += f"; {what} {move['outcome']}" + (f": {move['reason']}" if move["reason"] else "")
     if trip:
         text += f"\ntrip {trip['code']}: {trip['cause']}\nnext: {trip['next_action']}"
+        if trip["file"]:
+            text += f"\nfile: {trip['file']}"
     return text
 
 
@@ -218,7 +301,9 @@ def _describe(status: "Answer") -> str:
         ("axis", _one_line(status)),
         ("effort", f"{axis['effort']:.3f} {axis['effort_unit']}" + (" (at its limit)" if axis["saturated"] else "")),
         ("following error", f"{axis['following_error']:.3f} {axis['unit']}"),
-        ("bus", "open" if bus["open"] else f"closed: {bus['error']}"),
+        ("bus", f"open, controller {bus['controller']}" if bus["open"] else f"closed: {bus['error']}"),
+        ("drive inputs", ", ".join(name for name, active in status["inputs"].items() if active) or "none active"),
+        ("commanded by", status["lease"]["holder"] or "nobody"),
         (
             "frames",
             (

@@ -9,10 +9,13 @@ from twostage_servo.cli.configuration import add_options, configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, print_json
 
 if TYPE_CHECKING:
+    import asyncio
     from collections.abc import Callable
 
     from twostage_servo.config import Config, LoadedConfig
     from twostage_servo.service.loop import ServoService
+    from twostage_servo.service.notify import Notifier
+    from twostage_servo.ticks import Tick
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -46,7 +49,7 @@ def _run(options: argparse.Namespace) -> ExitCode:
         with configuration_problems():
             service = build_service(loaded)
         with asyncio.Runner(loop_factory=real_time_loop) as runner:
-            runner.run(_serve(service, loaded))
+            runner.run(_serve(service, loaded, options))
     finally:
         writer.close()
     if options.json:
@@ -66,25 +69,65 @@ def _load_for_processes(options: argparse.Namespace) -> "LoadedConfig[Config]":
     return loaded
 
 
-async def _serve(service: "ServoService", loaded: "LoadedConfig[Config]") -> None:
+async def _serve(service: "ServoService", loaded: "LoadedConfig[Config]", options: argparse.Namespace) -> None:
+    import asyncio
+    from pathlib import Path
+
     import structlog
 
     from twostage_servo.service.assembly import socket_path
     from twostage_servo.service.control_socket import ControlSocket
+    from twostage_servo.service.notify import Notifier
+    from twostage_servo.service.trip_files import TripFiles, default_folder
 
     path = socket_path(loaded.config)
-    control = ControlSocket(path, service.handle)
+    notifier, loop = Notifier(), asyncio.get_running_loop()
+    service.reporter.trip_files = TripFiles(Path(loaded.config.service.trip_folder or default_folder()))
+    service.desk.reload = lambda: _reload(service, loaded, options)
+    control = ControlSocket(path, service.handle, service.desk.leave)
     try:
         await control.start()
     except OSError as error:
         raise CommandError(ExitCode.USAGE, "socket", f"the control socket cannot be made at {path}: {error}") from error
     service.publishers.append(lambda tick: control.publish(tick.index, service.snapshot))
+    service.publishers.append(_feeder(service, notifier, loop))
     _on_signals(service.shut_down)
+    notifier.ready()
     structlog.get_logger().info("listening", socket=str(path), config=loaded.source, axis=loaded.config.axis.name)
     try:
         await service.run()
     finally:
+        notifier.stopping()
         await control.stop()
+        notifier.close()
+
+
+def _feeder(
+    service: "ServoService", notifier: "Notifier", loop: "asyncio.AbstractEventLoop"
+) -> "Callable[[Tick], None]":
+    """Return the publisher that gives a sign of life for a tick; it has to be the last one."""
+
+    def feed(tick: "Tick") -> None:
+        if tick.index != service.failed_tick:
+            notifier.tick_completed(loop.time())
+
+    return feed
+
+
+def _reload(service: "ServoService", running: "LoadedConfig[Config]", options: argparse.Namespace) -> None:
+    """Read the configuration again; what is wrong with it is refused, and the service goes on as it was."""
+    import structlog
+
+    from twostage_servo.axis.messages import Refused
+    from twostage_servo.config import ConfigError
+    from twostage_servo.service.assembly import reload_axis
+
+    try:
+        fresh = load_configuration(options)
+        reload_axis(service, running, fresh)
+    except (CommandError, ConfigError) as error:
+        raise Refused("config", str(error)) from error
+    structlog.get_logger().info("configuration read again", config=fresh.source)
 
 
 def _drive(options: argparse.Namespace) -> ExitCode:

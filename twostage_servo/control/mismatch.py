@@ -3,10 +3,10 @@
 Each hypothesis is a disturbance observer for a plant of another gain, fed with the same samples and efforts: the model
 itself, and the model with its gain reversed, cut to less than half, and more than doubled. That is what an encoder with
 its sign inverted or its scale wrong looks like from outside, or a drive whose gain has changed. Under the true
-hypothesis the innovations are smallest. A load that steps surprises all hypotheses alike, so it decides nothing; only the
-answer to the effort tells them apart. In an exponential window their squares are summed and compared: multiple-model
-estimation (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and Navigation*, 2001,
-section 11.6), with a threshold on the ratio in place of its probabilities.
+hypothesis the innovations are smallest. A load that steps surprises all hypotheses alike, so it decides nothing; only
+the answer to the effort tells them apart. In an exponential window their squares are summed and compared:
+multiple-model estimation (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
+Navigation*, 2001, section 11.6), with a threshold on the ratio in place of its probabilities.
 """
 
 from typing import Final
@@ -15,13 +15,18 @@ from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kal
 from twostage_servo.control.plant import Plant
 
 GAIN_FACTORS: Final = (-1.0, 0.45, 2.2)
-"""Gains that the model is tested against, as multiples of its own: so far off that a plant 30 % off stays nearer to 1."""
+"""Gains that the model is tested against, as multiples of its own: a plant that is 30 % off stays nearer to 1."""
 
 FORGETTING: Final = 0.93
 """Weight of the window for each tick of age: a time constant of 14 ticks."""
 
 EVIDENCE: Final = 8.0
 """How many times smaller another hypothesis' sum of squares has to be."""
+
+LEAST_SURPRISE: Final = 0.25
+"""Root of the model's sum of squared innovations, as a share of the limit for a single one, below which nothing is
+decided: what quantisation and dates leave. A scale needs twice as much: a pole that is off looks like one while the
+axis settles."""
 
 
 class ModelTest:
@@ -35,9 +40,6 @@ class ModelTest:
         T_s in s.
     noise
         What the observers assume; the same for all.
-    least
-        Root of the model's sum of squared innovations, in axis unit, below which nothing is decided: what quantisation
-        leaves. A scale needs twice as much: a pole that is off looks like one while the axis settles.
 
     Attributes
     ----------
@@ -45,15 +47,15 @@ class ModelTest:
         Root of the model's own sum of squared innovations in the window, in axis unit.
     """
 
-    __slots__ = ("_least", "_observers", "_sum", "_sums", "surprise")
+    __slots__ = ("_limit", "_observers", "_sum", "_sums", "surprise")
 
-    def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, least: float) -> None:
+    def __init__(self, plant: Plant, period_s: float, noise: NoiseModel) -> None:
         self._observers = []
         for factor in GAIN_FACTORS:
             sampled = Plant(factor * plant.gain, plant.pole).discretise(period_s)
             gain = kalman_gain(sampled, noise).predictor
             self._observers.append(DisturbanceObserver(sampled, gain, noise.disturbance_memory))
-        self._least = least
+        self._limit = 0.0
         self._sums = [0.0] * len(GAIN_FACTORS)
         self._sum = 0.0
         self.surprise = 0.0
@@ -75,8 +77,19 @@ class ModelTest:
         for hypothesis in self._observers:
             hypothesis.predict(effort)
 
-    def update(self, sample: float, effort: float, innovation: float) -> None:
-        """Take ``y(k-1)`` (axis unit), ``u(k-1)`` (effort unit) and what the sample was to the model itself."""
+    def update(self, sample: float, effort: float, innovation: float, limit: float) -> None:
+        """Take what is known of a tick.
+
+        Parameters
+        ----------
+        sample, effort
+            ``y(k-1)`` in axis unit and ``u(k-1)`` in effort unit.
+        innovation
+            What the sample was to the model itself, in axis unit.
+        limit
+            What it may be at the present speed, in axis unit: the test is decided in shares of that.
+        """
+        self._limit = limit
         self._sum = FORGETTING * self._sum + innovation * innovation
         self.surprise = self._sum**0.5
         sums = self._sums
@@ -87,9 +100,9 @@ class ModelTest:
     @property
     def better_gain_factor(self) -> float | None:
         """The gain, as a multiple of the model's, of a hypothesis that explains the window far better; else None."""
-        if self.surprise <= self._least:
+        if self.surprise <= LEAST_SURPRISE * self._limit:
             return None
         best = min(range(len(GAIN_FACTORS)), key=self._sums.__getitem__)
         factor = GAIN_FACTORS[best]
-        enough = factor < 0.0 or self.surprise > 2.0 * self._least
+        enough = factor < 0.0 or self.surprise > 2.0 * LEAST_SURPRISE * self._limit
         return factor if enough and self._sum > EVIDENCE * self._sums[best] else None

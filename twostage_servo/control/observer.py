@@ -105,6 +105,8 @@ class DisturbanceObserver:
 
     Attributes
     ----------
+    plant
+        The plant model, as given.
     position, velocity, disturbance
         The estimate, in axis unit, axis unit/s and effort unit.
     innovation
@@ -113,10 +115,11 @@ class DisturbanceObserver:
 
     __slots__ = (
         "_a12", "_a22", "_b1", "_b2", "_gain1", "_gain2", "_gain3", "_memory",
-        "disturbance", "innovation", "position", "velocity",
+        "disturbance", "innovation", "plant", "position", "velocity",
     )  # fmt: skip
 
     def __init__(self, plant: DiscretePlant, gain: Triple, disturbance_memory: float = 1.0) -> None:
+        self.plant = plant
         self._a12, self._a22, self._b1, self._b2 = plant.a12, plant.a22, plant.b1, plant.b2
         self._gain1, self._gain2, self._gain3 = gain
         self._memory = disturbance_memory

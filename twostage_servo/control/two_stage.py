@@ -7,6 +7,11 @@ first and ``f22 (r - y)`` in the second (erratum 10).
 The change-over sets ``M = -x1`` at its own tick, so both forms give the same effort there to the last bit (erratum 12).
 It happens at the distance at which the position stage asks for no change of effort at the present speed, equation (19),
 so the ticks after it continue as smoothly.
+
+A stop is not in the paper. Its two stages would take the change-over distance to come to rest, however steep the ramp:
+the sum has to run off first. So a stop has a stage of its own. The reference ramps down, the model says which effort
+follows it, the observer's disturbance is cancelled, and the velocity error is fed back:
+``u = (w(k+1) - a22 w(k)) / b2 - x3 + f_b (w(k) - x2)``, with w the ramped reference.
 """
 
 import enum
@@ -14,16 +19,30 @@ import math
 
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
+from twostage_servo.control.plant import DiscretePlant
+
+BRAKING_SHARE = 0.3
+"""Share of the velocity error that a stop takes away in a period, f_b b2: stable for half to twice the model's gain or
+pole, and with a period of delay more."""
+
+REST_TICKS = 3
+"""Periods for which the speed has to be low before a stop is done: one may be the estimate's own noise."""
 
 SPEED_TOLERANCE = 0.1
 """Share of the cruise velocity by which the axis may be too fast to enter the position stage for a new set-point."""
 
 
 class Stage(enum.IntEnum):
-    """Which of the two stages makes the effort."""
+    """Which of the two stages makes the effort, or that a stop does."""
 
     SPEED = 1
     POSITION = 2
+    BRAKE = 3
+
+
+def braking_gain(plant: DiscretePlant) -> float:
+    """Return f_b, the effort per velocity error of a stop, in effort unit s/axis unit."""
+    return BRAKING_SHARE / plant.b2
 
 
 class TwoStageLaw:
@@ -42,6 +61,8 @@ class TwoStageLaw:
     effort_limit
         Largest magnitude of the effort, in effort unit; infinity for none. What the limit cuts off is taken back out of
         the sum (back-calculation), so nothing winds up.
+    effort_rate_limit
+        Largest change of the effort in effort unit/s; infinity for none. Taken back out of the sum likewise.
     rest_velocity
         Speed in axis unit/s at or below which a stop counts as done.
 
@@ -54,7 +75,7 @@ class TwoStageLaw:
     target, cruise_velocity
         The set-point r in axis unit and the magnitude of its velocity v in axis unit/s.
     speed_reference
-        The velocity that the speed stage asks for now, ramped, in axis unit/s.
+        The velocity that the speed stage, or a stop, asks for now, ramped, in axis unit/s.
     saturated
         Whether the effort limit cut the last effort.
     changeovers
@@ -64,14 +85,15 @@ class TwoStageLaw:
     """
 
     __slots__ = (
-        "_braking", "_changeover_time", "_direction", "_f11", "_f12", "_f22", "_offset", "_ramp", "_ramp_limit",
-        "_rest_velocity", "_stopping", "_sum", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer",
-        "period_s", "saturated", "speed_reference", "stage", "target",
+        "_braking", "_braking_gain", "_changeover_time", "_direction", "_f11", "_f12", "_f22", "_largest_step",
+        "_offset", "_ramp", "_ramp_limit", "_rest_velocity", "_sum", "_ticks_at_rest", "changeovers", "cruise_velocity",
+        "effort", "effort_limit",
+        "observer", "period_s", "saturated", "speed_reference", "stage", "target",
     )  # fmt: skip
     sample_age = 1
     _STATE = (
         "stage", "target", "cruise_velocity", "speed_reference", "effort", "saturated",
-        "_sum", "_offset", "_ramp", "_braking", "_stopping", "_direction",
+        "_sum", "_offset", "_ramp", "_braking", "_ticks_at_rest", "_direction",
     )  # fmt: skip
 
     def __init__(
@@ -82,12 +104,15 @@ class TwoStageLaw:
         *,
         acceleration_limit: float = math.inf,
         effort_limit: float = math.inf,
+        effort_rate_limit: float = math.inf,
         rest_velocity: float = 0.0,
     ) -> None:
         self.observer = observer
         self.period_s = period_s
         self.effort_limit = effort_limit
         self._f11, self._f12, self._f22 = gains.f11, gains.f12, gains.f22
+        self._braking_gain = braking_gain(observer.plant)
+        self._largest_step = effort_rate_limit * period_s
         self._rest_velocity = rest_velocity
         self._changeover_time = gains.changeover_time_s(period_s)
         self._ramp_limit = acceleration_limit * period_s
@@ -106,7 +131,8 @@ class TwoStageLaw:
         self._ramp = self._ramp_limit
         self._sum = 0.0
         self._offset = -position
-        self._braking = self._stopping = False
+        self._braking = False
+        self._ticks_at_rest = 0
         self._direction = 1.0
 
     @property
@@ -139,36 +165,36 @@ class TwoStageLaw:
         tolerance = SPEED_TOLERANCE * velocity
         self.target = target
         self.cruise_velocity = velocity
-        self._stopping = False
         self._ramp = self._ramp_limit
         near = distance <= velocity * self._changeover_time
         self._braking = approach > distance / self._changeover_time + tolerance
         if near and not self._braking and approach >= -tolerance:
-            if self.stage is Stage.SPEED:
-                self._enter_position_stage()
-        elif self.stage is Stage.POSITION:
+            if self.stage is not Stage.POSITION:
+                self._enter_position_stage(self.effort)
+        elif self.stage is not Stage.SPEED:
             self._enter_speed_stage()
 
     def stop(self, deceleration: float) -> None:
         """Bring the axis to rest with a slope in axis unit/s², then hold where it comes to rest."""
-        if self.stage is Stage.POSITION:
-            self._enter_speed_stage()
-        self._stopping = True
-        self._braking = False
+        if self.stage is not Stage.BRAKE:
+            self.stage = Stage.BRAKE
+            self.speed_reference = self.observer.velocity
+            self._ticks_at_rest = 0
         self._ramp = deceleration * self.period_s
 
-    @property
-    def stopping(self) -> bool:
-        """Whether :meth:`stop` is still bringing the axis to rest."""
-        return self._stopping
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower, as after homing; nothing moves."""
+        self.observer.position += distance
+        self.target += distance
+        self._offset -= distance
 
-    def step(self, sample: float) -> float:
+    def step(self, sample: float | None) -> float:
         """Take the sample that the drive made when the last effort left, ``y(k-1)``; return the effort ``u(k)``.
 
         Parameters
         ----------
         sample
-            Measured position in axis unit; finite.
+            Measured position in axis unit; finite. None if there is none, or none to be believed: the model has to do.
 
         Returns
         -------
@@ -176,25 +202,26 @@ class TwoStageLaw:
             The effort in effort unit, within the effort limit.
         """
         observer = self.observer
+        if sample is None:
+            sample = observer.position
         observer.update(sample, self.effort)
         velocity = observer.velocity
         if self.stage is Stage.POSITION:
             self._sum += self._f22 * (self.target - sample)
             effort = self._sum - self._f12 * velocity - self._f11 * (observer.position + self._offset)
-        else:
+        elif self.stage is Stage.SPEED:
             effort = self._sum - self._f12 * velocity
             if self._speed_stage_ends():
-                self._enter_position_stage()
+                self._enter_position_stage(effort)
             else:
                 self._sum += self._f22 * (self._ramped_reference() - velocity)
-        limit = self.effort_limit
-        self.saturated = not -limit <= effort <= limit
-        if self.saturated:
-            limited = limit if effort > 0.0 else -limit
-            self._sum += limited - effort
-            effort = limited
-        self.effort = effort
-        return effort
+        else:
+            self.effort = self._braking_effort()
+            return self.effort
+        self.effort = self._limited(effort)
+        if self.effort != effort:
+            self._sum += self.effort - effort
+        return self.effort
 
     def skip(self, periods: int) -> None:
         """Account for periods in which no step was made: the last effort acted on, unseen."""
@@ -207,16 +234,55 @@ class TwoStageLaw:
         for name in self._STATE:
             setattr(self, name, getattr(other, name))
 
+    def _limited(self, effort: float) -> float:
+        """Hold the effort within its limit and its rate."""
+        limit = self.effort_limit
+        self.saturated = not -limit <= effort <= limit
+        if self.saturated:
+            effort = limit if effort > 0.0 else -limit
+        step = effort - self.effort
+        if abs(step) > self._largest_step:
+            effort = self.effort + math.copysign(self._largest_step, step)
+        return effort
+
+    def _braking_effort(self) -> float:
+        """Follow the ramp down; at rest, go over to holding the place."""
+        observer, now, ramp = self.observer, self.speed_reference, self._ramp
+        velocity = observer.velocity
+        self._ticks_at_rest = self._ticks_at_rest + 1 if now == 0.0 and abs(velocity) <= self._rest_velocity else 0
+        if self._ticks_at_rest >= REST_TICKS:
+            # Where the position stage would come to rest from here: equation (19) read backwards.
+            self.target = observer.position + self._changeover_time * velocity
+            # Braking is over: what it took gives way to what holds against the load.
+            effort = self._limited(-observer.disturbance)
+            self._enter_position_stage(effort)
+            return effort
+        plant = observer.plant
+        step = min(ramp, self._steepest_step(abs(now)))
+        ahead = 0.0 if abs(now) <= step else now - math.copysign(step, now)
+        wanted = (ahead - plant.a22 * now) / plant.b2 - observer.disturbance + self._braking_gain * (now - velocity)
+        effort = self._limited(wanted)
+        if effort != wanted:
+            # What the limits withhold is not made up for later: the ramp goes on from the speed that will be reached.
+            reached = plant.a22 * velocity + plant.b2 * (effort + observer.disturbance)
+            if abs(reached) > abs(ahead) and reached * now > 0.0:
+                ahead = reached
+        self.speed_reference = ahead
+        return effort
+
+    def _steepest_step(self, speed: float) -> float:
+        """Return the change of speed in a period from which the effort's rate still gets back to no braking at rest.
+
+        If each step is smaller by r than the one before, a step s and all after it take ``s + s (s - r) / 2r`` away.
+        """
+        rate = self._largest_step * abs(self.observer.plant.b2)
+        if math.isinf(rate):
+            return math.inf
+        return math.sqrt(0.25 * rate * rate + 2.0 * rate * speed) - 0.5 * rate
+
     def _speed_stage_ends(self) -> bool:
         """Decide the change-over from the estimate of this very tick."""
         velocity = self.observer.velocity
-        if self._stopping:
-            if self.speed_reference != 0.0 or abs(velocity) > self._rest_velocity:
-                return False
-            # Where the position stage would come to rest from here: equation (19) read backwards.
-            self.target = self.observer.position + self._changeover_time * velocity
-            self._stopping = False
-            return True
         offset = self.target - self.observer.position
         direction = math.copysign(1.0, offset)
         if direction != self._direction:  # passed the set-point while braking: turn round
@@ -229,7 +295,7 @@ class TwoStageLaw:
 
     def _ramped_reference(self) -> float:
         """Move the speed reference towards its goal by at most the acceleration limit; return it."""
-        goal = 0.0 if self._stopping or self._braking else self._direction * self.cruise_velocity
+        goal = 0.0 if self._braking else self._direction * self.cruise_velocity
         change = goal - self.speed_reference
         if abs(change) <= self._ramp:
             self.speed_reference = goal
@@ -237,14 +303,17 @@ class TwoStageLaw:
             self.speed_reference += math.copysign(self._ramp, change)
         return self.speed_reference
 
-    def _enter_position_stage(self) -> None:
+    def _enter_position_stage(self, effort: float) -> None:
+        """Take the position stage's sum so that it gives this effort at the present estimate."""
         self._offset = -self.observer.position
+        self._sum = effort + self._f12 * self.observer.velocity
         self.stage = Stage.POSITION
         self._braking = False
         self.speed_reference = 0.0
         self.changeovers += 1
 
     def _enter_speed_stage(self) -> None:
-        self._sum -= self._f11 * (self.observer.position + self._offset)
+        """Take the speed stage's sum so that it goes on from the last effort."""
+        self._sum = self.effort + self._f12 * self.observer.velocity
         self.speed_reference = self.observer.velocity
         self.stage = Stage.SPEED

@@ -8,12 +8,9 @@ without the fault.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
 from twostage_servo.faults.world import Sample
-
-MODEL_ERROR = 0.3
-"""Share by which the true plant may differ from its model: what the axis has to be good for."""
 
 _SAMPLE_AGE_TICKS = 2
 """A fault may fall just behind a sample, and a sample is read a tick after it was taken."""
@@ -115,8 +112,8 @@ class Budget:
     def stopping(self, noticed_s: float, deceleration: float, extra_speed: float = 0.0) -> float:
         """Return the way unnoticed for a time in s, then down a ramp, by so much more as the plant is off its model."""
         speed = self.reference.peak_speed(noticed_s) + extra_speed
-        ramp = self.design.stopping_distance(speed, deceleration)
-        return speed * (noticed_s + self._latency_s) + ramp + MODEL_ERROR * speed / self._pole + self.unnoticed()
+        ramp = self.design.certain_stopping_distance(speed, deceleration)
+        return speed * (noticed_s + self._latency_s) + ramp + self.unnoticed()
 
     def quick_stop(self, noticed_s: float, extra_speed: float = 0.0) -> float:
         """Return the same as :meth:`stopping`, with the quick stop deceleration."""

@@ -102,7 +102,7 @@ def as_page(result: dict[str, Any], cells: Sequence[Cell], what: str) -> str:
 def _short(cell: Cell | None) -> str:
     if cell is None:
         return f"{'':12}"
-    text = f"{cell.observed} {cell.travel:.3g}/{cell.bound:.3g}"
+    text = f"{cell.observed} {_plain(cell.travel)}/{_plain(cell.bound)}"
     return f"{text + ('' if cell.met else '!'):>12}"
 
 
@@ -110,6 +110,11 @@ def _rounded(cell: Cell | None) -> str:
     if cell is None:
         return ""
     return f"{cell.expected} {_up(cell.travel)} / {_up(cell.bound)}" + ("" if cell.met else " **missed**")
+
+
+def _plain(distance: float) -> str:
+    """Write three digits, and none behind the thousandth."""
+    return f"{distance:.3g}" if distance >= 1.0 else f"{distance:.3f}".rstrip("0").rstrip(".")
 
 
 def _up(distance: float) -> str:
@@ -132,7 +137,8 @@ def _cell_html(cell: Cell | None, unit: str) -> str:
     title = html.escape(describe(cell, unit), quote=True)
     return (
         f"<td class='{'' if cell.met else 'missed'}' title='{title}'><b class='{cell.observed}'>{cell.observed}</b>"
-        f"<span>{cell.travel:.3g} / {cell.bound:.3g}</span><i><u style='width:{100.0 * share:.0f}%'></u></i></td>"
+        f"<span>{_plain(cell.travel)} / {_plain(cell.bound)}</span>"
+        f"<i><u style='width:{100.0 * share:.0f}%'></u></i></td>"
     )
 
 

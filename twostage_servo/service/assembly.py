@@ -1,6 +1,9 @@
 """Puts a service together from a loaded configuration; what does not fit is an error with file, line and key."""
 
+from collections.abc import Callable
 from pathlib import Path
+
+import can
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
@@ -42,6 +45,12 @@ def compile_profile(loaded: LoadedConfig[Config]) -> DriveProfile:
         profile = DriveProfile.compile(config.protocol, loaded.folder, config.axis.unit)
     except ProtocolError as error:
         raise loaded.problem(error.key, str(error)) from error
+    _check_effort(loaded, profile)
+    return profile
+
+
+def _check_effort(loaded: LoadedConfig[Config], profile: DriveProfile) -> None:
+    config = loaded.config
     if profile.effort_unit not in {"", "1", config.axis.effort_unit}:
         raise loaded.problem(
             ("axis", "effort_unit"),
@@ -54,10 +63,24 @@ def compile_profile(loaded: LoadedConfig[Config]) -> DriveProfile:
             f"the drive's command signal carries at most {profile.effort_limit:g} {config.axis.effort_unit}; lower the "
             "limit or use a DBC with a wider signal",
         )
-    return profile
 
 
-def build_service(loaded: LoadedConfig[Config], bus: BusSettings | None = None) -> ServoService:
+def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile) -> Axis:
+    """Return the axis that a configuration describes, disarmed.
+
+    Raises
+    ------
+    ConfigError
+        If no law can be designed from the settings.
+    """
+    return Axis(design(loaded), profile.counter_modulus, profile.position_period, profile.position_quantum)
+
+
+def build_service(
+    loaded: LoadedConfig[Config],
+    bus: BusSettings | None = None,
+    opener: Callable[[], can.BusABC] | None = None,
+) -> ServoService:
     """Return the service that a configuration describes, its bus not yet open.
 
     Parameters
@@ -66,6 +89,8 @@ def build_service(loaded: LoadedConfig[Config], bus: BusSettings | None = None) 
         The configuration.
     bus
         A bus to use in place of the configured one.
+    opener
+        What makes the bus, in place of python-can: a simulated one.
 
     Raises
     ------
@@ -73,12 +98,30 @@ def build_service(loaded: LoadedConfig[Config], bus: BusSettings | None = None) 
         If the parts do not fit together.
     """
     profile = compile_profile(loaded)
-    axis = Axis(design(loaded), profile.counter_modulus)
+    axis = build_axis(loaded, profile)
     bus = bus or loaded.config.bus
     heard = list(profile.controller_identifiers)
     if bus.interface not in _ECHOING:
         heard.append(profile.command_id)  # which only somebody else can have sent
-    return ServoService(loaded.config.service, axis, profile, Link(bus, heard))
+    dated = loaded.config.protocol.feedback.sampling == "cyclic"
+    return ServoService(loaded.config.service, axis, profile, Link(bus, heard, opener), dated=dated)
+
+
+def reload_axis(service: ServoService, running: LoadedConfig[Config], fresh: LoadedConfig[Config]) -> None:
+    """Give a service whose axis is disarmed the axis of a configuration that was read again.
+
+    Raises
+    ------
+    ConfigError
+        If the parts do not fit together, or a table has changed that only a restart can follow.
+    """
+    for table in ("service", "bus", "protocol"):
+        if getattr(fresh.config, table) != getattr(running.config, table):
+            raise fresh.problem((table,), f"[{table}] has changed: only a restart of the service can follow that")
+    if fresh.config.axis.unit != running.config.axis.unit:  # the frames were compiled for it
+        raise fresh.problem(("axis", "unit"), "the unit has changed: only a restart of the service can follow that")
+    _check_effort(fresh, service.profile)
+    service.axis = build_axis(fresh, service.profile)
 
 
 def socket_path(config: Config) -> Path:

@@ -6,6 +6,7 @@ sent no more snapshots until it does; nothing here ever makes a tick wait.
 
 import asyncio
 import contextlib
+import itertools
 import json
 import os
 import socket
@@ -19,7 +20,7 @@ from pydantic import ValidationError
 
 from twostage_servo.axis.messages import Refused
 from twostage_servo.service.address import prepare_folder
-from twostage_servo.service.requests import REQUESTS, Request, WatchRequest
+from twostage_servo.service.requests import READING, REQUESTS, JogRequest, Request, WatchRequest
 from twostage_servo.service.snapshot import ready_for_json
 
 Answer = dict[str, Any]
@@ -42,12 +43,16 @@ class ControlSocket:
     path
         Path of the socket.
     handle
-        Carries out a request and returns its answer; raises :class:`Refused`.
+        Carries out a request of the client that is named, and returns its answer; raises :class:`Refused`.
+    leave
+        Told the name of a client whose connection has ended.
     """
 
-    def __init__(self, path: Path, handle: Callable[[Request], Answer]) -> None:
+    def __init__(self, path: Path, handle: Callable[[Request, str], Answer], leave: Callable[[str], None]) -> None:
         self.path = path
         self._handle = handle
+        self._leave = leave
+        self._connections = itertools.count(1)
         self._server: asyncio.Server | None = None
         self._clients: set[_Client] = set()
         self._serving: set[asyncio.Task[None]] = set()
@@ -99,7 +104,7 @@ class ControlSocket:
         task.add_done_callback(self._serving.discard)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        client = _Client(writer)
+        client = _Client(writer, next(self._connections))
         if len(self._clients) >= _MOST_CLIENTS:
             client.send(encode(_failure("too_many_clients", f"{_MOST_CLIENTS} clients are connected already")))
             client.close()
@@ -121,6 +126,7 @@ class ControlSocket:
             self._log.info("client lost", peer=client.peer, error=str(error))
         finally:
             self._clients.discard(client)
+            self._leave(client.peer)
             client.close()
             with contextlib.suppress(OSError):  # the other side may be gone already, which ends it as well
                 await writer.wait_closed()
@@ -132,10 +138,10 @@ class ControlSocket:
             return _failure("bad_request", _explain(error))
         except RecursionError:
             return _failure("bad_request", "the request is nested too deeply")
-        if request.op not in {"status", "watch", "recording"}:
+        if not isinstance(request, (*READING, JogRequest)):  # a jog is asked for several times a second
             self._log.info("request", peer=client.peer, **request.model_dump(exclude_none=True))
         try:
-            answer = self._handle(request)
+            answer = self._handle(request, client.peer)
         except Refused as error:
             self._log.warning("refused", peer=client.peer, op=request.op, code=error.code, reason=str(error))
             return _failure(error.code, str(error))
@@ -147,7 +153,7 @@ class ControlSocket:
 class _Client:
     """One connection, with who it is and what it watches."""
 
-    def __init__(self, writer: asyncio.StreamWriter) -> None:
+    def __init__(self, writer: asyncio.StreamWriter, number: int) -> None:
         self._writer = writer
         self.every = 0
         self.due = 0
@@ -155,7 +161,7 @@ class _Client:
         self.busy = False
         credentials = writer.get_extra_info("socket").getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
         process, user, _ = struct.unpack("3i", credentials)
-        self.peer = f"pid {process} uid {user}"
+        self.peer = f"pid {process} uid {user} #{number}"
 
     def send(self, data: bytes) -> None:
         if not self._writer.is_closing():

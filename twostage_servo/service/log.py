@@ -58,7 +58,7 @@ def _with_journal_priority(_: Any, method: str, event: str) -> str:
     return f"<{_PRIORITY.get(method, 6)}>{event}"
 
 
-def open_log(level: str, stream: TextIO | None = None) -> LogWriter:
+def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> LogWriter:
     """Configure structlog for this process and return the writer, to be closed at the end.
 
     On a terminal a line is made for eyes; elsewhere it is JSON, and for journald behind the ``<N>`` prefix by which it
@@ -70,9 +70,11 @@ def open_log(level: str, stream: TextIO | None = None) -> LogWriter:
         Least severe level that is written.
     stream
         Where to; stderr by default.
+    capacity
+        Lines that may wait to be written; more are dropped and counted.
     """
     stream = stream or sys.stderr
-    writer = LogWriter(stream)
+    writer = LogWriter(stream, capacity)
     for_eyes = stream.isatty()
     renderers: list[Any] = (
         [structlog.dev.ConsoleRenderer(colors=True)]

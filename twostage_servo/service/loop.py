@@ -4,35 +4,29 @@ import asyncio
 from collections.abc import Callable
 from typing import Any
 
-import can
 import structlog
 
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.messages import NO_EFFORT, Command, Refused
-from twostage_servo.axis.state import DRIVEN, ENABLED
-from twostage_servo.axis.trips import Trip, TripCode
+from twostage_servo.axis.messages import NO_EFFORT, Command
+from twostage_servo.axis.state import ENABLED
+from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link, LinkError
-from twostage_servo.canbus.profile import DriveProfile, FrameRejected
+from twostage_servo.canbus.profile import DriveProfile
+from twostage_servo.service.desk import Desk
+from twostage_servo.service.receiver import Receiver
 from twostage_servo.service.recorder import Record, Recorder
-from twostage_servo.service.requests import (
-    ArmRequest,
-    DisarmRequest,
-    MoveRequest,
-    RecordingRequest,
-    Request,
-    ResetRequest,
-    StatusRequest,
-    StopRequest,
-    WatchRequest,
-)
+from twostage_servo.service.reporter import Reporter
+from twostage_servo.service.requests import Request
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.service.snapshot import take_snapshot
 from twostage_servo.service.statistics import LatenessHistogram
 from twostage_servo.ticks import Tick, Ticks
 
-_READING = (StatusRequest, WatchRequest)
 Publisher = Callable[[Tick], None]
 FrameObserver = Callable[[int, str, int, bytes], None]
+
+_DROPPED_IN_A_ROW = 2
+"""Commands in a row that the bus did not take, at which the axis trips: one is an accident."""
 
 _PARTING_FRAMES = 3
 """Disable commands sent before the service ends: one lost frame must not leave the drive to its time-out."""
@@ -51,9 +45,19 @@ class ServoService:
         How its drive's frames are packed.
     link
         The bus, not yet open.
+    dated
+        Whether the drive samples at a rhythm of its own, so that a frame's age dates its sample.
 
     Attributes
     ----------
+    desk
+        Where clients ask for what they want.
+    reporter
+        Tells the log, and keeps the recordings of trips.
+    failure
+        The defect that ends the service, or None.
+    failed_tick
+        Index of the latest tick in which a defect showed, and which does not count as completed; or None.
     command
         What the axis decided on in this tick.
     bus_error
@@ -64,50 +68,67 @@ class ServoService:
         Called with tick index, ``sent`` or ``received``, identifier and data of each frame.
     """
 
-    def __init__(self, settings: ServiceSettings, axis: Axis, profile: DriveProfile, link: Link) -> None:
+    def __init__(
+        self, settings: ServiceSettings, axis: Axis, profile: DriveProfile, link: Link, *, dated: bool = False
+    ) -> None:
         self.settings = settings
         self.axis = axis
         self.profile = profile
         self.link = link
+        self.receiver = Receiver(profile, link, settings.tick_ms / 1e3, dated=dated)
         self.ticks = Ticks(settings.tick_ms / 1e3)
         self.lateness = LatenessHistogram()
         self.tick_count = 0
         self.tick_missed = 0
         self.uptime_s = 0.0
-        self.heartbeat_state: int | None = None
         self.recorder = Recorder(max(1, round(1e3 * settings.recording_s / settings.tick_ms)))
-        self.publishers: list[Publisher] = [self._report_changes]
+        self.desk = Desk(self)
+        self.reporter = Reporter(self)
+        self.publishers: list[Publisher] = [self.reporter]
         self.frame_observers: list[FrameObserver] = []
         self.command: Command = NO_EFFORT
-        self._command_counter = 0
+        self.failure: Exception | None = None
+        self.failed_tick: int | None = None
         self.bus_error: str | None = "not opened yet"
+        self._command_counter = 0
+        self._sent_s: float | None = None
+        self._dropped_in_a_row = 0
         self._opening: asyncio.Task[None] | None = None
         self._ending_ticks: int | None = None
         self._parting_frames = 0
-        self._reported_state = axis.state
-        self._reported_trip: Trip | None = None
-        self._reported_rejected = 0
-        self._reported_stale = True
-        self._ticks_a_report = max(1, round(1e3 / settings.tick_ms))
         self._log = structlog.get_logger().bind(axis=axis.settings.name)
 
     async def run(self) -> None:
-        """Run until :meth:`shut_down` has brought the axis to rest; the drive is disabled on every way out."""
+        """Run until :meth:`shut_down` has brought the axis to rest; the drive is disabled on every way out.
+
+        Raises
+        ------
+        Exception
+            A defect of this program. If the tick still works, a quick stop has brought the axis to rest before.
+        """
         self._opening = asyncio.create_task(self._keep_trying_to_open())
         try:
             async for tick in self.ticks:
-                self.read(tick)
-                self.update(tick)
-                self.write(tick)
-                self.publish(tick)
-        except Exception:
-            self._log.critical("the loop failed, the drive is being disabled", exc_info=True)
-            raise
+                try:
+                    self.read(tick)
+                    self.update(tick)
+                    self.write(tick)
+                except Exception as error:  # noqa: BLE001 - raised again when the axis is at rest, or at once
+                    self._fail(tick, error, in_control=True)
+                try:
+                    self.publish(tick)
+                except Exception as error:  # noqa: BLE001 - likewise
+                    self._fail(tick, error, in_control=False)
+                self._end_at_rest()
         finally:
-            self._disable_drive()
-            self._opening.cancel()
-            await asyncio.gather(self._opening, return_exceptions=True)
-            self.link.close()
+            try:
+                self._disable_drive()
+            finally:
+                self._opening.cancel()
+                await asyncio.gather(self._opening, return_exceptions=True)
+                self.link.close()
+        if self.failure is not None:
+            raise self.failure
 
     def shut_down(self) -> None:
         """Bring the axis to rest, disable the drive, and end the loop; within the shutdown time-out at the latest."""
@@ -115,6 +136,11 @@ class ServoService:
             self._ending_ticks = round(self.settings.shutdown_timeout_ms / self.settings.tick_ms)
             self._log.info("ending", state=self.axis.state)
             self.axis.disarm()
+
+    @property
+    def is_ending(self) -> bool:
+        """Whether :meth:`shut_down` has been called."""
+        return self._ending_ticks is not None
 
     # The tick --------------------------------------------------------------------------------------------------------
 
@@ -125,6 +151,7 @@ class ServoService:
         self.tick_missed += tick.missed
         self.uptime_s = tick.index * self.ticks.period_s
         self.axis.begin_tick(tick.index, tick.missed)
+        self.receiver.begin_tick(tick, self._sent_s)
         if self.bus_error is not None:
             return
         try:
@@ -135,11 +162,7 @@ class ServoService:
         for message in messages:
             for observe in self.frame_observers:
                 observe(tick.index, "received", message.arbitration_id, bytes(message.data))
-            try:
-                self._take(message)
-            except FrameRejected as rejection:
-                self.link.counters.rejected += 1
-                self._log.debug("frame rejected", tick=tick.index, reason=rejection.reason, text=str(rejection))
+            self.receiver.take(message, self.axis)
 
     def update(self, _: Tick) -> None:
         """Let the axis decide on its effort."""
@@ -161,6 +184,12 @@ class ServoService:
         except LinkError as error:
             self._lose_bus(error)
             return
+        self._sent_s = asyncio.get_running_loop().time() if sent else None
+        self._dropped_in_a_row = 0 if sent else self._dropped_in_a_row + 1
+        if self._dropped_in_a_row >= _DROPPED_IN_A_ROW:
+            self.axis.raise_trip(
+                TripCode.COMMANDS_DROPPED, f"the bus has not taken {self._dropped_in_a_row} commands in a row"
+            )
         if sent:
             for observe in self.frame_observers:
                 observe(tick.index, "sent", self.profile.command_id.identifier, data)
@@ -177,49 +206,12 @@ class ServoService:
         )  # fmt: skip
         for publisher in self.publishers:
             publisher(tick)
-        if self._ending_ticks is not None and axis.state not in ENABLED:
-            self._parting_frames += 1
-            if self._parting_frames >= _PARTING_FRAMES:
-                self.ticks.stop()
 
     # Requests --------------------------------------------------------------------------------------------------------
 
-    def handle(self, request: Request) -> dict[str, Any]:
-        """Carry out a request of a client.
-
-        Raises
-        ------
-        Refused
-            If the axis does not carry it out.
-        """
-        if isinstance(request, RecordingRequest):
-            return {"fields": Record._fields, "records": self.recorder.records()}
-        if not isinstance(request, _READING):
-            if self._ending_ticks is not None:
-                raise Refused("ending", "the service is ending: nothing but reading is possible any more.")
-            self._command_axis(request)
-        return self.snapshot()
-
-    def _command_axis(self, request: Request) -> None:
-        axis = self.axis
-        match request:
-            case ArmRequest():
-                if self.bus_error is not None:
-                    raise Refused("bus_closed", f"the bus is not open: {self.bus_error}")
-                axis.arm()
-            case DisarmRequest():
-                axis.disarm()
-            case StopRequest():
-                axis.stop()
-            case ResetRequest():
-                axis.reset()
-                self.recorder.discard()
-            case MoveRequest(position=position, by=by, velocity=velocity):
-                speed = axis.settings.cruise_velocity if velocity is None else velocity
-                if position is not None:
-                    axis.move_to(position, speed)
-                elif by is not None:
-                    axis.move_by(by, speed)
+    def handle(self, request: Request, client: str = "this process") -> dict[str, Any]:
+        """Carry out a request of a client; see :meth:`Desk.handle`."""
+        return self.desk.handle(request, client)
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state of service and axis, ready for JSON."""
@@ -227,28 +219,35 @@ class ServoService:
 
     # Small parts -----------------------------------------------------------------------------------------------------
 
-    def _take(self, message: can.Message) -> None:
-        profile = self.profile
-        if profile.is_feedback(message):
-            feedback = profile.decode_feedback(message)
-            faulty = (
-                feedback.fault
-                or (feedback.fault is None and feedback.fault_code)
-                or (feedback.command_timeout and self.axis.state in DRIVEN)
-            )
-            fault_code = (feedback.fault_code or 0) if faulty else None
-            self.axis.take_feedback(feedback.position, feedback.counter, feedback.enabled, fault_code)
-        elif profile.is_heartbeat(message):
-            self.heartbeat_state = profile.decode_heartbeat(message).state
-        else:
-            self.axis.notice_foreign_command(f"0x{message.arbitration_id:X} [{message.data.hex(' ')}]")
+    def _end_at_rest(self) -> None:
+        if self._ending_ticks is not None and self.axis.state not in ENABLED:
+            self._parting_frames += 1
+            if self._parting_frames >= _PARTING_FRAMES:
+                self.ticks.stop()
+
+    def fail(self, error: Exception) -> None:
+        """Take notice of a defect outside the tick: quick stop, then the service ends with it."""
+        self._fail(None, error, in_control=False)
+
+    def _fail(self, tick: Tick | None, error: Exception, *, in_control: bool) -> None:
+        """Quick stop at the first defect; a second one in what controls the axis ends the loop at once."""
+        if tick is not None:
+            self.failed_tick = tick.index
+        if self.failure is not None:
+            if in_control:
+                raise self.failure
+            return
+        self.failure = error
+        self._log.critical("the loop failed, the axis is being stopped", exc_info=error)
+        self.axis.raise_trip(TripCode.INTERNAL_ERROR, f"{type(error).__name__} in the loop: {error}")
+        self.shut_down()
 
     def _lose_bus(self, error: LinkError) -> None:
         self.bus_error = str(error)
         self._log.error("the bus failed", error=self.bus_error)
         self.axis.raise_trip(TripCode.BUS_FAILED, self.bus_error)
         self.axis.drive.forget()
-        self.heartbeat_state = None
+        self.receiver.forget()
         self.link.close()
         self._opening = asyncio.create_task(self._keep_trying_to_open())
 
@@ -281,23 +280,3 @@ class ServoService:
     def _next_counter(self) -> int:
         self._command_counter += 1
         return self._command_counter
-
-    def _report_changes(self, tick: Tick) -> None:
-        axis, rejected = self.axis, self.link.counters.rejected
-        if axis.trip is not None and axis.trip is not self._reported_trip:
-            self.recorder.keep()
-            self._log.error(
-                "trip", tick=tick.index, code=axis.trip.code, cause=axis.trip.cause, next_action=axis.trip.next_action
-            )
-        self._reported_trip = axis.trip
-        if axis.state is not self._reported_state:
-            self._log.info("state", tick=tick.index, before=self._reported_state, now=axis.state)
-            self._reported_state = axis.state
-        if axis.drive.is_stale is not self._reported_stale:
-            self._reported_stale = axis.drive.is_stale
-            self._log.warning("feedback stale" if self._reported_stale else "feedback fresh", tick=tick.index)
-        if rejected != self._reported_rejected and tick.index % self._ticks_a_report == 0:
-            self._log.warning(
-                "frames rejected", tick=tick.index, new=rejected - self._reported_rejected, total=rejected
-            )
-            self._reported_rejected = rejected

@@ -13,6 +13,19 @@ class StatusRequest(Settings):
     op: Literal["status"]
 
 
+class WatchRequest(Settings):
+    """Send a snapshot every so many ticks, until the client closes."""
+
+    op: Literal["watch"]
+    every: int = quantity(10, unit="ticks", description="Ticks between two snapshots", ge=1, le=10_000)
+
+
+class RecordingRequest(Settings):
+    """Send the recording of the trip, or of the last ticks."""
+
+    op: Literal["recording"]
+
+
 class ArmRequest(Settings):
     """Enable the drive and hold."""
 
@@ -29,6 +42,7 @@ class StopRequest(Settings):
     """Come to rest and hold."""
 
     op: Literal["stop"]
+    quick: bool = Field(default=False, description="With the quick stop deceleration")
 
 
 class ResetRequest(Settings):
@@ -54,28 +68,57 @@ class MoveRequest(Settings):
         return self
 
 
-class WatchRequest(Settings):
-    """Send a snapshot every so many ticks, until the client closes."""
+class JogRequest(Settings):
+    """Move for as long as this is asked for again within the jog time-out."""
 
-    op: Literal["watch"]
-    every: int = quantity(10, unit="ticks", description="Ticks between two snapshots", ge=1, le=10_000)
+    op: Literal["jog"]
+    velocity: float = quantity(unit="axis unit/s", description="Velocity, whose sign is the direction", ge=-1e9, le=1e9)
 
 
-class RecordingRequest(Settings):
-    """Send the recording of the trip, or of the last ticks."""
+class HomeRequest(Settings):
+    """Look for the reference as ``[axis.homing]`` says; with `position`, say where the axis stands now."""
 
-    op: Literal["recording"]
+    op: Literal["home"]
+    position: float | None = quantity(
+        None, unit="axis unit", description="Position of the place where the axis stands", ge=-1e9, le=1e9
+    )
+
+
+class ReleaseRequest(Settings):
+    """Give the lease back."""
+
+    op: Literal["release"]
+
+
+class TakeRequest(Settings):
+    """Take the lease, also from another client while the axis is at rest."""
+
+    op: Literal["take"]
+
+
+class ReloadRequest(Settings):
+    """Read the configuration again, while the axis is disarmed."""
+
+    op: Literal["reload"]
 
 
 Request = (
     StatusRequest
+    | WatchRequest
+    | RecordingRequest
     | ArmRequest
     | DisarmRequest
     | StopRequest
     | ResetRequest
     | MoveRequest
-    | WatchRequest
-    | RecordingRequest
+    | JogRequest
+    | HomeRequest
+    | ReleaseRequest
+    | TakeRequest
+    | ReloadRequest
 )
+
+READING = (StatusRequest, WatchRequest, RecordingRequest)
+"""Requests that change nothing, and are open to everybody."""
 
 REQUESTS: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="op")])

@@ -23,6 +23,16 @@ class ServiceSettings(Settings):
     recording_s: float = quantity(
         2.0, unit="s", description="Length of the recording of the last ticks that a trip keeps", ge=0.1, le=600.0
     )
+    trip_folder: str = Field(
+        "",
+        description="Folder for a file on each trip; empty for systemd's state directory or the user's own",
+        max_length=1000,
+        pattern=r"^[^\x00-\x1f]*$",
+    )
+    holder_lost: Literal["continue", "stop", "disarm"] = Field(
+        "continue",
+        description="What becomes of a move when the connection ends that commanded it and has not released its lease",
+    )
     shutdown_timeout_ms: float = quantity(
         800.0,
         unit="ms",

@@ -17,7 +17,7 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
     axis, law = service.axis, service.axis.law
     driven = axis.state in DRIVEN
     age = axis.drive.monitor.ticks_since_fresh
-    counters = service.link.counters
+    counters, files = service.link.counters, service.reporter.trip_files
     return {
         "version": __version__,
         "pid": os.getpid(),
@@ -27,6 +27,8 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
             "unit": axis.settings.unit,
             "effort_unit": axis.settings.effort_unit,
             "state": axis.state,
+            "cia402": axis.cia402_state,
+            "referenced": axis.referenced,
             "position": None if axis.drive.is_stale else axis.drive.position,
             "feedback_age_ms": None if age is None else round(1e3 * age * service.ticks.period_s, 3),
             "velocity": law.observer.velocity if driven else None,
@@ -44,6 +46,8 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
             "target": axis.move.target,
             "velocity": axis.move.velocity,
             "outcome": axis.move.outcome,
+            "kind": axis.move.kind,
+            "reason": axis.move.reason,
         },
         "trip": None
         if axis.trip is None
@@ -52,7 +56,18 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
             "cause": axis.trip.cause,
             "next_action": axis.trip.next_action,
             "tick": axis.trip.tick,
+            "reaction": axis.trip.reaction.name.lower(),
+            "escalation": None if axis.escalation is None else axis.escalation.code,
+            "file": None if files is None or files.latest is None else str(files.latest),
+            "file_error": None if files is None else files.error,
         },
+        "inputs": {
+            "safe_torque_off": axis.drive.safe_torque_off,
+            "positive_limit": axis.drive.positive_limit,
+            "negative_limit": axis.drive.negative_limit,
+            "home_switch": axis.drive.home_switch,
+        },
+        "lease": {"holder": service.desk.lease.holder},
         "ticks": {
             "count": service.tick_count,
             "missed": service.tick_missed,
@@ -62,14 +77,22 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
             "received": counters.received,
             "sent": counters.sent,
             "rejected": counters.rejected,
+            "rejected_by_reason": dict(counters.rejected_by_reason),
             "dropped": counters.dropped,
             "errors": counters.errors,
             "overruns": counters.overruns,
             "lost": axis.drive.monitor.lost,
             "doubled": axis.drive.monitor.doubled,
             "reordered": axis.drive.monitor.reordered,
+            "recent_errors": axis.drive.monitor.recent_errors,
+            "predicted": axis.motion.predicted,
         },
-        "bus": {"open": service.bus_error is None, "error": service.bus_error, "drive_state": service.heartbeat_state},
+        "bus": {
+            "open": service.bus_error is None,
+            "error": service.bus_error,
+            "drive_state": service.receiver.drive_state,
+            "controller": service.link.controller_state,
+        },
     }
 
 

@@ -1,0 +1,373 @@
+"""Each fault that the axis can see itself: which trip it makes, how it reacts, and what is left afterwards."""
+
+import math
+from collections.abc import Callable
+from random import Random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.messages import NO_EFFORT, Refused
+from twostage_servo.axis.state import DRIVEN, State
+from twostage_servo.axis.trips import RULES, Reaction, TripCode
+from twostage_servo.control.plant import Plant
+
+
+def rig_with(**limits: float) -> AxisRig:
+    return AxisRig(Axis(design_axis(axis_settings(None, None, **limits), PERIOD_S), 16, resolution=0.001))
+
+
+def tripped(rig: AxisRig, code: TripCode, within_s: float = 1.0) -> AxisRig:
+    """Let time pass until the axis has come to rest after a trip of this code."""
+    for _ in range(round(within_s / PERIOD_S)):
+        rig.tick()
+        if rig.axis.trip is not None:
+            break
+    assert rig.axis.trip is not None, f"no trip within {within_s} s"
+    assert rig.axis.trip.code is code, rig.axis.trip
+    rig.seconds(0.5)
+    assert rig.state() is State.TRIPPED
+    assert rig.tick() == NO_EFFORT
+    return rig
+
+
+# The encoder ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_single_spike_is_bridged_and_forgotten() -> None:
+    rig = AxisRig().cruising()
+    rig.sample += 50.0
+    rig.tick()
+    assert rig.axis.motion.implausible == 1
+    rig.seconds(6.0)
+    assert (rig.axis.trip, rig.axis.motion.implausible) == (None, 0)
+    assert rig.position == pytest.approx(400.0, abs=0.05)
+
+
+@pytest.mark.parametrize("height", [3.0, -40.0, 1e6])
+def test_a_jump_trips_loses_the_reference_and_is_never_believed(height: float) -> None:
+    rig = AxisRig().cruising()
+    at = rig.position
+    rig.sees = lambda position: position + height
+    estimates = []
+    while rig.state() is not State.TRIPPED:
+        rig.tick()
+        estimates.append(rig.axis.law.observer.position)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.POSITION_JUMP
+    assert all(abs(estimate - at) < 10.0 for estimate in estimates)  # not a step towards the jump
+    assert rig.position - at < 6.0
+    assert not rig.axis.referenced
+    rig.seconds(0.1)
+    rig.axis.reset()
+    rig.seconds(0.1)
+    rig.axis.arm()
+    rig.seconds(0.1)
+    with pytest.raises(Refused, match="home") as refused:
+        rig.axis.move_to(100.0, 50.0)
+    assert refused.value.code == "not_homed"
+
+
+def test_a_jump_while_an_untroubled_stop_brakes_trips_as_well() -> None:
+    rig = AxisRig().cruising(2000.0, 250.0)
+    rig.axis.stop()
+    rig.sees = lambda position: position + 20.0
+    tripped(rig, TripCode.POSITION_JUMP)
+
+
+@pytest.mark.parametrize(
+    ("factor", "code"),
+    [(-1.0, TripCode.SIGN_REVERSED), (2.0, TripCode.MODEL_MISMATCH), (0.5, TripCode.MODEL_MISMATCH)],
+)
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_wrong_sign_or_scale_shows_in_the_first_millimetres_of_a_move(
+    factor: float, code: TripCode, direction: float
+) -> None:
+    rig = AxisRig()
+    rig.sees = lambda position: factor * position
+    rig.armed()
+    rig.axis.move_to(direction * 400.0, 100.0)
+    tripped(rig, code)
+    assert abs(rig.position) < 8.0
+
+
+@pytest.mark.parametrize("velocity", [20.0, 100.0])
+@pytest.mark.parametrize("gain", [0.7, 1.3])
+@pytest.mark.parametrize("pole", [0.7, 1.3])
+@pytest.mark.parametrize("load", [-1.0, 1.0])
+def test_a_plant_30_percent_off_with_noise_and_a_load_does_not_trip(
+    velocity: float, gain: float, pole: float, load: float
+) -> None:
+    noise = Random(1)
+    rig = AxisRig(plant=Plant(180.0 * gain, 14.0 * pole))
+    rig.sees = lambda position: round((position + noise.gauss(0.0, 0.02)) * 1000.0) / 1000.0
+    rig.armed()
+    move = rig.axis.move_to(3.0 * velocity, velocity)
+    rig.seconds(1.5)
+    rig.load = load
+    rig.seconds(10.0)
+    assert rig.axis.trip is None
+    assert move.outcome in {"reached", "moving"}
+    assert rig.position == pytest.approx(3.0 * velocity, abs=0.3)
+
+
+def test_a_frozen_encoder_at_low_speed_is_found_by_what_the_effort_does() -> None:
+    rig = AxisRig().cruising(30.0, 10.0)
+    at, place = rig.position, rig.sample
+    rig.sees = lambda _: place
+    tripped(rig, TripCode.JAM)
+    # The effort rises by f22 times the missing speed a tick until it has changed by 2.5 V.
+    ticks = 2.5 / (rig.axis.design.gains.f22 * 10.0)
+    assert rig.position - at < (10.0 + 2.5 * 180.0 / 14.0) * ticks * PERIOD_S + 5.0
+
+
+def test_an_axis_that_cannot_move_is_jammed_and_the_effort_stays_small() -> None:
+    rig = AxisRig().armed()
+    rig.plant = Plant(1e-9, 1e3)
+    rig.axis.move_to(400.0, 100.0)
+    tripped(rig, TripCode.JAM)
+    assert max(abs(command.effort) for command in rig.commands) < 6.0
+
+
+# Frames --------------------------------------------------------------------------------------------------------------
+
+
+def test_many_bad_frames_trip_although_none_is_missed_for_long() -> None:
+    """Two frames in a row lost, one that comes: never three, yet two thirds are missing."""
+    rig = AxisRig().cruising(2000.0, 100.0)
+    for index in range(60):
+        rig.counter += 1 if index % 3 else 0
+        rig.silent = bool(index % 3)
+        rig.tick()
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.FEEDBACK_ERRORS
+    assert "25" in rig.axis.trip.cause
+
+
+def test_errors_of_long_ago_do_not_count() -> None:
+    rig = AxisRig().cruising(2000.0, 100.0)
+    for _ in range(24):
+        rig.axis.drive.monitor.reject()
+    rig.seconds(0.99)
+    assert rig.axis.drive.monitor.recent_errors == 24
+    rig.seconds(0.02)
+    assert rig.axis.drive.monitor.recent_errors == 0
+    assert rig.axis.trip is None
+
+
+# The drive -----------------------------------------------------------------------------------------------------------
+
+
+def test_safe_torque_off_disables_and_the_position_is_still_tracked() -> None:
+    rig = AxisRig().cruising()
+    rig.inputs["safe_torque_off"] = True
+    rig.tick()
+    assert rig.state() is State.TRIPPED
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.SAFE_TORQUE_OFF
+    rig.seconds(0.5)
+    assert rig.axis.law.observer.position == pytest.approx(rig.position, abs=0.05)
+    rig.axis.reset()
+    rig.seconds(0.1)
+    with pytest.raises(Refused, match="safe torque off") as refused:
+        rig.axis.arm()
+    assert refused.value.code == "safe_torque_off"
+
+
+def test_a_silent_heartbeat_disables_once_there_has_been_one() -> None:
+    rig = AxisRig().cruising()
+    rig.seconds(0.5)
+    assert rig.axis.trip is None  # a drive without a heartbeat is not expected to have one
+    rig.axis.take_heartbeat(3)
+    rig.seconds(0.29)
+    assert rig.axis.trip is None
+    rig.seconds(0.02)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.HEARTBEAT_LOST
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_a_reboot_loses_the_reference_armed_or_not(*, armed: bool) -> None:
+    rig = AxisRig().seconds(0.05)
+    rig.axis.take_heartbeat(3)
+    if armed:
+        rig.cruising(for_s=0.2)
+    rig.axis.take_heartbeat(4)
+    assert not rig.axis.referenced
+    assert (rig.axis.trip is not None) == armed
+    assert rig.state() is (State.TRIPPED if armed else State.DISARMED)
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_limit_switch_stops_and_lets_only_motion_off_it(direction: float) -> None:
+    switch = "positive_limit" if direction > 0.0 else "negative_limit"
+    rig = AxisRig().cruising(direction * 400.0)
+    rig.inputs[switch] = True
+    at = rig.position
+    tripped(rig, TripCode.LIMIT_SWITCH)
+    assert abs(rig.position - at) < rig.axis.design.stopping_distance(100.0, 4000.0) + 1.0
+    rig.axis.reset()
+    rig.armed()
+    for towards in (lambda: rig.axis.move_by(direction * 10.0, 50.0), lambda: rig.axis.jog(direction * 10.0)):
+        with pytest.raises(Refused) as refused:
+            towards()
+        assert refused.value.code == "limit_switch"
+    move = rig.axis.move_by(-direction * 50.0, 50.0)
+    rig.seconds(5.0)
+    assert (rig.axis.trip, move.outcome) == (None, "reached")
+
+
+# Limits --------------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    speed=st.floats(20.0, 250.0),
+    direction=st.sampled_from([1.0, -1.0]),
+    short=st.floats(0.0, 1.0),
+    gain=st.floats(0.8, 1.2),
+)
+def test_the_position_limits_brake_in_time(speed: float, direction: float, short: float, gain: float) -> None:
+    """An axis that races towards its limit, for whatever reason, comes to rest before limit and overrun."""
+    rig = AxisRig(plant=Plant(180.0 * gain, 14.0))
+    rig.position = rig.sample = direction * (2500.0 - 3.0 * speed)
+    rig.seconds(0.1)
+    rig.armed()
+    rig.axis.move_to(direction * 2500.0, speed)
+    rig.seconds(2.0 + short * speed / 250.0)
+    rig.axis.motion.law.target += direction * 1e4  # a law that has gone astray does not slow down
+    rig.axis.motion.nominal.target += direction * 1e4
+    rig.seconds(4.0)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.POSITION_LIMIT
+    assert rig.state() is State.TRIPPED
+    assert direction * rig.position < 2520.0
+
+
+def test_the_following_error_is_the_minimum_or_proportional_to_the_speed() -> None:
+    def deviation_at_trip(velocity: float) -> float:
+        rig = rig_with(innovation=1e3, jam_effort=24.0)
+        rig.cruising(2000.0, velocity, for_s=2.5)
+        for _ in range(400):
+            rig.load += 0.1
+            rig.tick()
+            if rig.axis.trip is not None:
+                assert rig.axis.trip.code is TripCode.FOLLOWING_ERROR
+                return abs(float(rig.axis.trip.cause.split("the axis is ")[1].split(" ")[0]))
+        raise AssertionError("no trip")
+
+    assert deviation_at_trip(10.0) == pytest.approx(10.0, abs=1.0)
+    assert deviation_at_trip(100.0) == pytest.approx(20.5, abs=1.5)  # 0.2 s of the largest speed, 102 mm/s
+
+
+def test_a_braking_that_does_not_work_is_given_up() -> None:
+    """A drive that keeps its effort: the quick stop has no effect, so the drive is disabled."""
+    rig = rig_with(innovation=1e3, overspeed=1e6).cruising(2000.0, 100.0)
+    kept = rig.commands[-1].effort
+    rig.axis.raise_trip(TripCode.FOLLOWING_ERROR, "test")
+    for _ in range(300):
+        rig.load = rig.commands[-1].effort - kept  # whatever is commanded, the same acts
+        rig.tick()
+        if rig.state() is State.TRIPPED:
+            break
+    assert rig.state() is State.TRIPPED
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.FOLLOWING_ERROR
+    assert rig.axis.escalation is not None
+    assert rig.axis.escalation.code is TripCode.BRAKING_FAILED
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    requests=st.lists(
+        st.tuples(
+            st.sampled_from(["move", "stop", "quick", "disarm", "arm", "jog", "trip"]),
+            st.floats(-2500.0, 2500.0),
+            st.floats(1.0, 250.0),
+            st.integers(1, 60),
+        ),
+        min_size=3,
+        max_size=12,
+    )
+)
+def test_the_effort_keeps_its_rate_and_its_limit(requests: list[tuple[str, float, float, int]]) -> None:
+    rig = AxisRig().armed()
+    for what, target, velocity, ticks in requests:
+        act: dict[str, Callable[[], object]] = {
+            "move": lambda t=target, v=velocity: rig.axis.move_to(t, v),  # type: ignore[misc]
+            "stop": rig.axis.stop,
+            "quick": lambda: rig.axis.stop(quick=True),
+            "disarm": rig.axis.disarm,
+            "arm": rig.axis.arm,
+            "jog": lambda t=target, v=velocity: rig.axis.jog(math.copysign(v, t)),  # type: ignore[misc]
+            "trip": lambda: rig.axis.raise_trip(TripCode.FOLLOWING_ERROR, "test"),
+        }
+        try:
+            act[what]()
+        except Refused:
+            if rig.state() is State.TRIPPED:
+                rig.axis.reset()
+        for _ in range(ticks):
+            rig.tick()
+    before = 0.0
+    for command, state in zip(rig.commands, rig.states, strict=True):
+        assert abs(command.effort) <= 24.0
+        if state in DRIVEN:
+            assert abs(command.effort - before) <= 10.0 + 1e-9  # 1000 V/s
+        else:
+            assert command.effort == 0.0
+        before = command.effort
+
+
+# Reactions -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("code", list(TripCode))
+def test_every_code_reacts_as_its_rule_says(code: TripCode) -> None:
+    rig = AxisRig().cruising()
+    rig.axis.raise_trip(code, "test")
+    expected = {
+        Reaction.CONTROLLED_STOP: State.TRIPPED_STOPPING,
+        Reaction.QUICK_STOP: State.TRIPPED_QUICK_STOP,
+        Reaction.DISABLE: State.TRIPPED,
+    }
+    assert rig.state() is expected[RULES[code].reaction]
+    assert rig.axis.referenced is not RULES[code].unreferenced
+    rig.seconds(1.0)
+    assert rig.state() is State.TRIPPED
+    assert rig.axis.move is not None
+    assert (rig.axis.move.outcome, rig.axis.move.reason) == ("tripped", "test")
+    rig.axis.reset()
+    assert (rig.state(), rig.axis.trip, rig.axis.escalation) == (State.DISARMED, None, None)
+
+
+@pytest.mark.parametrize("first", list(TripCode))
+@pytest.mark.parametrize("second", [TripCode.SPEED_UNREACHABLE, TripCode.FOLLOWING_ERROR, TripCode.OVERSPEED])
+def test_the_first_cause_stays_and_the_most_severe_reaction_wins(first: TripCode, second: TripCode) -> None:
+    rig = AxisRig().cruising()
+    rig.axis.raise_trip(first, "first")
+    rig.axis.raise_trip(second, "second")
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.cause == "first"
+    more = RULES[second].reaction > RULES[first].reaction
+    assert (rig.axis.escalation is not None) == more
+    severity = max(RULES[first].reaction, RULES[second].reaction)
+    assert (rig.state() is State.TRIPPED) == (severity is Reaction.DISABLE)
+
+
+def test_a_quick_stop_on_request_holds_and_does_not_latch() -> None:
+    rig = AxisRig().cruising(2000.0, 250.0)
+    at = rig.position
+    rig.axis.stop(quick=True)
+    assert (rig.state(), rig.axis.cia402_state) == (State.QUICK_STOPPING, "quick stop active")
+    rig.seconds(1.0)
+    assert (rig.state(), rig.axis.trip) == (State.HOLDING, None)
+    # 250^2 / 8000 is 7.8 mm; the effort's rate adds what it takes to swing from cruising to braking.
+    assert 5.0 < rig.position - at < rig.axis.design.stopping_distance(250.0, 4000.0)
+    move = rig.axis.move_by(10.0, 50.0)
+    rig.seconds(3.0)
+    assert move.outcome == "reached"

@@ -1,0 +1,76 @@
+"""Operators at the control socket: real connections to the real service, in simulated time."""
+
+import asyncio
+import json
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from tests.service.rig import World, simulate
+from twostage_servo.service.control_socket import ControlSocket
+
+Json = dict[str, Any]
+
+_operators: list["Operator"] = []
+
+
+class Operator:
+    """A client that speaks raw lines."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self.reader, self.writer = reader, writer
+
+    async def send(self, line: bytes) -> Json:
+        self.writer.write(line + b"\n")
+        return await self.answer()
+
+    async def ask(self, **request: object) -> Json:
+        return await self.send(json.dumps(request).encode())
+
+    async def done(self, **request: object) -> Json:
+        """Ask for what has to be carried out."""
+        answer = await self.ask(**request)
+        assert answer["ok"], answer
+        return answer
+
+    async def refused(self, **request: object) -> str:
+        """Ask for what has to be refused; return the code."""
+        answer = await self.ask(**request)
+        assert not answer["ok"], answer
+        code: str = answer["error"]["code"]
+        return code
+
+    async def answer(self) -> Json:
+        line = await self.reader.readline()
+        assert line.endswith(b"\n"), "the connection was closed"
+        answer: Json = json.loads(line)
+        return answer
+
+    def die(self) -> None:
+        self.writer.transport.abort()
+
+
+def serve(path: Path, script: Callable[[World, ControlSocket], Awaitable[None]], *overrides: str) -> None:
+    """Run service, drive and control socket in simulated time until the script ends."""
+
+    async def main(world: World) -> None:
+        control = ControlSocket(path, world.service.handle, world.service.desk.leave)
+        world.service.publishers.append(lambda tick: control.publish(tick.index, world.service.snapshot))
+        await control.start()
+        try:
+            await world.until(lambda: world.axis.ready_to_arm)
+            await script(world, control)
+        finally:
+            await control.stop()
+            for operator in _operators:
+                operator.die()
+            _operators.clear()
+            await world.seconds(0.01)
+
+    simulate(main, *overrides)
+
+
+async def connect(path: Path) -> Operator:
+    operator = Operator(*await asyncio.open_unix_connection(str(path)))
+    _operators.append(operator)
+    return operator

@@ -1,0 +1,145 @@
+"""Reading the configuration again: while disarmed only, whole or not at all."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tests.service.rig import World, simulate
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import State
+from twostage_servo.cli.configuration import shipped_configuration
+from twostage_servo.config import ConfigError, load
+from twostage_servo.service.assembly import reload_axis
+from twostage_servo.service.requests import ArmRequest, MoveRequest, ReloadRequest
+
+RELOAD = ReloadRequest(op="reload")
+DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "axis.toml"
+    path.write_text(DEMO, encoding="utf-8")
+    return path
+
+
+def change(file: Path, old: str, new: str) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    file.write_text(text.replace(old, new), encoding="utf-8")
+
+
+def reloading(world: World, file: Path) -> Callable[[], None]:
+    running = load(file)
+    return lambda: reload_axis(world.service, running, load(file))
+
+
+def test_what_has_changed_is_in_force_and_the_axis_stays_disarmed(file: Path) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        world.service.desk.reload = reloading(world, file)
+        change(file, "cruise_velocity = 100.0", "cruise_velocity = 40.0")
+        change(file, "position_maximum = 2500.0", "position_maximum = 60.0")
+        answer = world.service.handle(RELOAD)
+        assert answer["axis"]["state"] == "disarmed"
+        await world.seconds(1.0)
+        assert world.state() is State.DISARMED
+        assert world.service.snapshot()["axis"]["position"] == 0.0
+        world.service.handle(ArmRequest(op="arm"))
+        await world.until(lambda: world.state() is State.HOLDING)
+        with pytest.raises(Refused, match="from -2500 to 60 mm"):
+            world.service.handle(MoveRequest(op="move", position=61.0))
+        assert world.service.handle(MoveRequest(op="move", position=50.0))["move"]["velocity"] == 40.0
+        await world.until(lambda: world.axis.move is not None and world.axis.move.outcome == "reached")
+        assert world.service.tick_missed == 0
+
+    simulate(script)
+
+
+def test_the_place_that_was_given_is_forgotten(file: Path) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        world.axis.set_position(50.0)
+        world.service.desk.reload = reloading(world, file)
+        change(file, "[simulation] ", "[axis.homing]\nrequired = true\n\n[simulation] ")
+        world.service.handle(RELOAD)
+        await world.armed()
+        assert world.service.snapshot()["axis"]["referenced"] is False
+        with pytest.raises(Refused, match="`home` it first"):
+            world.axis.move_to(1.0, 10.0)
+
+    simulate(script)
+
+
+@pytest.mark.parametrize("state", [State.ARMING, State.HOLDING, State.SPEED_STAGE, State.DISARMING, State.TRIPPED])
+def test_an_axis_that_is_not_disarmed_is_left_as_it_is(state: State) -> None:
+    async def script(world: World) -> None:
+        called: list[bool] = []
+        world.service.desk.reload = lambda: called.append(True)
+        axis = world.axis
+        if state is State.ARMING:
+            await world.until(lambda: axis.ready_to_arm)
+            axis.arm()
+        elif state is State.HOLDING:
+            await world.armed()
+        else:
+            await world.cruising()
+        if state is State.DISARMING:
+            axis.disarm()
+        elif state is State.TRIPPED:
+            world.drive.change(world.service.uptime_s, fault_code=3)
+            await world.until(lambda: axis.state is State.TRIPPED)
+        with pytest.raises(Refused, match=f"the axis is {state}") as refused:
+            world.service.handle(RELOAD)
+        assert refused.value.code == "armed"
+        assert world.state() is state
+        assert (world.axis, called) == (axis, [])
+
+    simulate(script)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "said"),
+    [
+        ("cruise_velocity = 100.0 ", "cruise_velocity = 1000.0 ", "axis", "is above limits.velocity"),
+        ("pole = 14.0                     # 1/s", "pole = -1.0", "axis.plant.pole", "at least 0.001"),
+        ("index_ratio = 5.0e-5", "index_ratio = 10.0", "axis.law.performance_index_ratio", "unstable"),
+        ("effort = 24.0 ", "effort = 40.0 ", "axis.limits.effort", "carries at most 32"),
+        ('effort_unit = "V"', "effort_unit = 5", "axis.effort_unit", "a text"),
+        ("tick_ms = 10.0", "tick_ms = 20.0", "service", "only a restart"),
+        ('channel = "twostage-servo-demo"', 'channel = "another"', "bus", "only a restart"),
+        ("[simulation] ", '[protocol.feedback]\nsampling = "cyclic"\n\n[simulation] ', "protocol", "only a restart"),
+        ('unit = "mm"', 'unit = "deg"', "axis.unit", "only a restart"),
+        ("[axis.limits]", "[axis.limits", "", "not TOML"),
+    ],
+)  # fmt: skip
+def test_a_file_that_is_wrong_or_changes_too_much_is_told_with_line_and_key(
+    file: Path, old: str, new: str, key: str, said: str
+) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        axis, reload = world.axis, reloading(world, file)
+        change(file, old, new)
+        with pytest.raises(ConfigError) as error:
+            reload()
+        problem = error.value.problems[0]
+        assert said in str(error.value)
+        assert problem.key == key
+        assert world.axis is axis
+        lines.append(problem.line or 0)
+        await world.armed()
+
+    lines: list[int] = []
+    simulate(script)
+    assert key.rpartition(".")[2] in file.read_text(encoding="utf-8").split("\n")[lines[0] - 1]
+
+
+def test_settings_that_stand_in_no_file_cannot_be_read_again() -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        with pytest.raises(Refused) as refused:
+            world.service.handle(RELOAD)
+        assert refused.value.code == "no_configuration"
+
+    simulate(script)

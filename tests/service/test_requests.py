@@ -1,0 +1,119 @@
+"""No number that is not finite, or beyond all measure, gets past the control socket in any field of any request."""
+
+import json
+import types
+import typing
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from tests.service.operators import connect, serve
+from tests.service.rig import World
+from twostage_servo.axis.state import State
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.requests import REQUESTS, Request
+
+NOT_NUMBERS = [
+    "NaN",
+    "Infinity",
+    "-Infinity",
+    "1e400",
+    "-1e400",
+    "1e309",
+    "1e300",
+    "-1e300",
+    "1" + "0" * 400,
+    '"1"',
+    "true",
+    "[]",
+]
+"""As they stand in the JSON; NaN and Infinity are none of JSON's words, but Python's writer uses them."""
+
+
+def _is_numeric(annotation: Any) -> bool:
+    alternatives = typing.get_args(annotation) if isinstance(annotation, types.UnionType) else (annotation,)
+    return float in alternatives or int in alternatives
+
+
+def _numeric_fields() -> list[tuple[str, str]]:
+    return [
+        (typing.get_args(model.model_fields["op"].annotation)[0], name)
+        for model in typing.get_args(Request)
+        for name, field in model.model_fields.items()
+        if _is_numeric(field.annotation)
+    ]
+
+
+FIELDS = _numeric_fields()
+
+
+def test_the_walk_finds_the_numeric_fields() -> None:
+    assert set(FIELDS) >= {
+        ("move", "position"), ("move", "by"), ("move", "velocity"), ("jog", "velocity"), ("home", "position"),
+        ("watch", "every"),
+    }  # fmt: skip
+    known = {typing.get_args(model.model_fields["op"].annotation)[0] for model in typing.get_args(Request)}
+    assert known >= {"status", "take", "release", "reload"}
+
+
+def _line(op: str, field: str, literal: str) -> str:
+    needed = ', "position": 1' if (op, field) == ("move", "velocity") else ""
+    return f'{{"op": "{op}", "{field}": {literal}{needed}}}'
+
+
+@pytest.mark.parametrize(("op", "field"), FIELDS)
+def test_a_usual_number_is_taken(op: str, field: str) -> None:
+    assert getattr(REQUESTS.validate_json(_line(op, field, "5")), field) == 5
+
+
+@pytest.mark.parametrize("literal", NOT_NUMBERS, ids=lambda literal: literal[:9])
+@pytest.mark.parametrize(("op", "field"), FIELDS)
+def test_what_is_no_usual_number_is_not(op: str, field: str, literal: str) -> None:
+    with pytest.raises(ValidationError) as caught:
+        REQUESTS.validate_json(_line(op, field, literal))
+    assert any(field in detail["loc"] for detail in caught.value.errors())
+
+
+def test_over_the_socket_each_is_refused_with_its_field_and_nothing_moves(tmp_path: Path) -> None:
+    path = tmp_path / "control.sock"
+
+    async def script(world: World, _: ControlSocket) -> None:
+        operator = await connect(path)
+        await operator.done(op="arm")
+        await world.until(lambda: world.state() is State.HOLDING)
+        for op, field in FIELDS:
+            for literal in NOT_NUMBERS:
+                answer = await operator.send(_line(op, field, literal).encode())
+                assert answer["ok"] is False
+                assert answer["error"]["code"] == "bad_request"
+                assert field in answer["error"]["message"]
+                assert len(answer["error"]["message"]) < 300, "the number itself is not repeated"
+        status = await operator.done(op="status")
+        assert (status["axis"]["state"], status["move"], status["trip"]) == ("holding", None, None)
+        assert world.service.tick_missed == 0
+
+    serve(path, script)
+
+
+@pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ('{"op": "move", "position": 1e9}', "position_limit"),
+        ('{"op": "move", "by": -1e9}', "position_limit"),
+        ('{"op": "move", "position": 1, "velocity": 1e9}', "velocity_limit"),
+        ('{"op": "jog", "velocity": -1e9}', "velocity_limit"),
+    ],
+)
+def test_a_number_beyond_the_axis_limits_is_refused_by_the_axis(tmp_path: Path, line: str, code: str) -> None:
+    path = tmp_path / "control.sock"
+
+    async def script(world: World, _: ControlSocket) -> None:
+        operator = await connect(path)
+        await operator.done(op="arm")
+        await world.until(lambda: world.state() is State.HOLDING)
+        assert await operator.refused(**json.loads(line)) == code
+        assert world.state() is State.HOLDING
+
+    serve(path, script)

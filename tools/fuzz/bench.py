@@ -1,0 +1,432 @@
+"""The bench: the real service with its real link on a bus that is made up here, in ticks that cost no time.
+
+Nothing of the service is replaced but the bus behind its link and the clock before its loop; what is checked is checked
+on its public counters and state.
+"""
+
+import asyncio
+import logging
+import math
+import random
+from collections import Counter, deque
+from collections.abc import Awaitable, Callable
+from typing import Any
+
+import can
+import structlog
+
+from fuzz.drives import Drive
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import DRIVEN, ENABLED, State
+from twostage_servo.canbus.link import BusSettings
+from twostage_servo.control.plant import Plant
+from twostage_servo.service.assembly import build_service
+from twostage_servo.service.requests import REQUESTS
+from twostage_servo.simulation.virtual_clock import VirtualClockLoop
+from twostage_servo.ticks import Tick, Ticks
+
+_IN_DRIVE = frozenset(DRIVEN)
+_IN_ENABLED = frozenset(ENABLED)
+
+
+class Failed(AssertionError):  # noqa: N818 - not an error of this program: a finding
+    """A property that does not hold."""
+
+
+def quiet_log() -> None:
+    """Let the service's log be formatted as by default, and go nowhere."""
+    structlog.configure(
+        processors=[structlog.processors.add_log_level, structlog.processors.JSONRenderer()],
+        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
+        logger_factory=lambda *_: _Nowhere(),
+        cache_logger_on_first_use=False,
+    )
+
+
+class _Nowhere:
+    def msg(self, line: str) -> None:
+        """Take a line."""
+
+    log = debug = info = warning = error = critical = msg
+
+
+class MadeUpBus(can.BusABC):
+    """A bus whose frames lie in a queue.
+
+    Attributes
+    ----------
+    queue
+        What is received next.
+    taken
+        What was received since it was last emptied.
+    sent
+        The last frame that was sent.
+    trouble
+        Raised by the next calls, if any.
+    sends
+        How many were sent.
+    refuses_to_open
+        Whether the next attempt to open it fails.
+    now_s
+        The time by which frames are stamped.
+
+    Parameters
+    ----------
+    stamps
+        Whether it says so; most interfaces do not, and then the age of a frame is not known.
+    """
+
+    def __init__(self, *, stamps: bool) -> None:
+        super().__init__(channel="made up")
+        self.clock = self._now if stamps else None
+        self.queue: deque[can.Message] = deque()
+        self.taken: list[can.Message] = []
+        self.sent: can.Message | None = None
+        self.sends = 0
+        self.trouble: Exception | None = None
+        self.refuses_to_open = False
+        self.now_s = 0.0
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:  # noqa: ARG002 - never waits
+        """Take the next frame."""
+        if self.queue:
+            message = self.queue.popleft()
+            self.taken.append(message)
+            return message
+        if self.trouble is not None:
+            raise self.trouble
+        return None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - never waits
+        """Remember what the service sends."""
+        if self.trouble is not None:
+            raise self.trouble
+        self.sent = msg
+        self.sends += 1
+
+    def _now(self) -> float:
+        return self.now_s
+
+    def reopen(self) -> "MadeUpBus":
+        """Open again, for the link."""
+        if self.refuses_to_open:
+            raise can.CanInitializationError("made up")
+        return self
+
+
+class BenchLoop(VirtualClockLoop):
+    """Simulated time that can be moved on without a pass of the loop.
+
+    Attributes
+    ----------
+    moved_to_s
+        The time that it is at least, s.
+    """
+
+    moved_to_s = 0.0
+
+    def time(self) -> float:
+        """Give the simulated time, s."""
+        return max(super().time(), self.moved_to_s)
+
+
+class ScriptedTicks(Ticks):
+    """Ticks that are due as soon as the last one is done, with a script between them.
+
+    Parameters
+    ----------
+    bench
+        What is looked at after each tick, and prepared before the next.
+    """
+
+    def __init__(self, bench: "Bench") -> None:
+        super().__init__(bench.period_s)
+        self._bench = bench
+        self._at = 0
+        self._ended = False
+        self._start_at_s: float | None = None
+
+    async def __anext__(self) -> Tick:
+        """Check the tick before, and prepare the next."""
+        bench, loop = self._bench, asyncio.get_running_loop()
+        assert isinstance(loop, BenchLoop)  # noqa: S101 - the only one that it is made for
+        if self._start_at_s is None:
+            self._start_at_s = loop.time()
+        else:
+            bench.check_tick()
+        if self._ended:
+            raise StopAsyncIteration
+        if bench.service.bus_error is not None:
+            await asyncio.sleep(self.period_s)
+        await bench.prepare()
+        missed, bench.missed_next = bench.missed_next, 0
+        bench.periods_ahead = 1 + missed
+        self._at += 1 + missed
+        deadline_s = self._start_at_s + self._at * self.period_s
+        deadline_s = max(deadline_s, loop.time())  # a pass of the loop for somebody else may have taken a period
+        bench.bus.now_s = loop.moved_to_s = deadline_s + bench.lateness_next_s
+        return Tick(self._at, deadline_s, bench.lateness_next_s, missed)
+
+    def stop(self) -> None:
+        """End."""
+        self._ended = True
+
+
+class Bench:
+    """A service on the made-up bus, with a drive that answers as an honest one does.
+
+    Parameters
+    ----------
+    drive
+        The configuration.
+    rng
+        Where everything random comes from.
+
+    Attributes
+    ----------
+    states, trips, decoded
+        How many ticks each state had, which trips there were, and how many frames of each kind were used.
+    missed_next, lateness_next_s
+        What the next tick comes with.
+    periods_ahead
+        How many periods the latest command acts.
+    """
+
+    def __init__(self, drive: Drive, rng: random.Random) -> None:
+        self.drive, self.rng = drive, rng
+        self.bus = MadeUpBus(stamps=rng.random() < 0.5)
+        interface = "socketcand" if rng.random() < 0.3 else "virtual"  # whose error frames mean something, or do not
+        settings = BusSettings(
+            interface=interface, channel="made up", max_frames_per_tick=4096, reopen_interval_ms=20.0
+        )
+        self.service = service = build_service(drive.loaded, settings, self.bus.reopen)
+        self.period_s = service.ticks.period_s
+        service.ticks = ScriptedTicks(self)
+        self.kinds = drive.kinds
+        self.commands = drive.kinds["command"]
+        config = drive.loaded.config
+        self.plant = Plant(config.axis.plant.gain, config.axis.plant.pole).discretise(self.period_s)
+        self.scale = -1.0 if config.protocol.feedback.position_scale < 0.0 else 1.0
+        self.limit = min(config.axis.limits.effort, service.profile.effort_limit) + 1e-9
+        self.command_number = service.profile.command_id.identifier
+        self.listened = {identifier.identifier for identifier in service.profile.controller_identifiers}
+        self.listened.add(self.command_number)
+        self.feedback_number = service.profile.feedback_id.identifier
+        self.prepare: Callable[[], Awaitable[None]] = self.idle
+        self.position = self.sample = self.velocity = 0.0
+        self.counter = self.boots = 0
+        self.missed_next, self.lateness_next_s, self.periods_ahead = 0, 0.0, 1
+        self.states: Counter[str] = Counter()
+        self.trips: Counter[str] = Counter()
+        self.refusals: Counter[str] = Counter()
+        self.refused = ""
+        self.decoded: Counter[str] = Counter()
+        self.frames = 0
+        self.frames_while_driven = 0
+        self.discarded = 0  # read in a drain that then found the bus gone
+        self._trip: object = None
+        self._decoded = 0
+        self._seen = (0, 0, 0, 0)
+        self._last: int | None = None
+        self._counts = (0, 0, 0)
+        self._sends_seen = 0
+        self._acting = 0.0
+        self._enabled = False
+        for name in self.kinds:
+            attribute = f"decode_{name}"
+            setattr(service.profile, attribute, self._counted(name, getattr(service.profile, attribute)))
+        service.frame_observers.append(self._observe)
+
+    def _counted(self, name: str, decode: Callable[[can.Message], Any]) -> Callable[[can.Message], Any]:
+        decoded = self.decoded
+
+        def counted(message: can.Message) -> Any:
+            record = decode(message)
+            decoded[name] += 1
+            self._decoded += 1
+            return record
+
+        return counted
+
+    # What happens --------------------------------------------------------------------------------------------------
+
+    async def idle(self) -> None:
+        """Prepare a tick in which the drive answers, and nothing else happens."""
+        self.answer_as_drive()
+
+    def answer_as_drive(self, *, heartbeat: bool = True) -> None:
+        """Let the drive take the last command and answer it."""
+        self._take_command()
+        queue = self.bus.queue
+        queue.append(self.feedback())
+        if heartbeat and "heartbeat" in self.kinds and self.rng.random() < 0.2:
+            queue.append(self._message("heartbeat", state=2, boot_counter=self.boots))
+
+    def place_within_limits(self) -> None:
+        """Let somebody push an axis that stands beyond its limits, or was shot there, back between them."""
+        limits = self.drive.loaded.config.axis.limits
+        if not limits.position_minimum <= self.position <= limits.position_maximum:
+            self.position = self.rng.uniform(0.9 * limits.position_minimum, 0.9 * limits.position_maximum)
+            self.velocity = 0.0
+
+    def feedback(self) -> can.Message:
+        """Return the drive's next feedback."""
+        self.counter += 1
+        values = {"counter": self.counter, "enabled": self._enabled}
+        try:
+            return self._message("feedback", position=self.sample, **values)
+        except ValueError:  # a position that is not finite, where the signal cannot say so
+            return self._message("feedback", position=0.0, **values)
+
+    def message(self, name: str, data: bytes | bytearray) -> can.Message:
+        """Return a frame of a kind, with these data."""
+        number, extended = self.kinds[name].identifier
+        return can.Message(self.bus.now_s, number, extended, data=data)
+
+    def _message(self, name: str, **values: Any) -> can.Message:
+        return self.message(name, self.kinds[name].of(**values))
+
+    def _take_command(self) -> None:
+        bus, plant = self.bus, self.plant
+        if bus.sends != self._sends_seen and bus.sent is not None:
+            self._sends_seen = bus.sends
+            command = self.commands.decode(bus.sent)
+            enable = command.enable is not False and self.service.command.enable
+            if (
+                not math.isfinite(command.effort)
+                or abs(command.effort) > self.limit + self.service.profile.effort_quantum
+            ):
+                raise Failed(f"the command on the bus has effort {command.effort}, the limit is {self.limit}")
+            self._enabled = enable
+            self._acting = command.effort if enable else 0.0
+        effort = self._acting
+        self.sample = self.position  # as the command arrives: what is read at the next tick
+        for _ in range(self.periods_ahead):
+            self.position += plant.a12 * self.velocity + plant.b1 * effort
+            self.velocity = plant.a22 * self.velocity + plant.b2 * effort
+
+    def ask(self, **request: Any) -> None:
+        """Ask the service for something; a refusal is an answer as well."""
+        self.refused = ""
+        try:
+            self.service.handle(REQUESTS.validate_python(request))
+        except Refused as refusal:
+            self.refused = refusal.code
+            self.refusals[refusal.code] += 1
+
+    # What is checked -----------------------------------------------------------------------------------------------
+
+    def _observe(self, _: int, direction: str, number: int, __: bytes) -> None:
+        """Look, as a frame is about to be taken, at what became of the one before."""
+        if direction == "received":
+            if self._last is not None:
+                self._check_frame()
+            self._last = number
+
+    def _check_frame(self) -> None:
+        """Check that a frame that came in was used, rejected, or left as a repetition: exactly one of the three."""
+        rejected = self.service.link.counters.rejected
+        drive = self.service.axis.drive
+        monitor = drive.monitor
+        left = monitor.doubled + monitor.reordered
+        was_rejected, was_decoded, was_left, was_refused = self._seen
+        number = self._last
+        refused = rejected - was_rejected
+        decoded = self._decoded - was_decoded
+        if refused + decoded != (0 if number == self.command_number and not refused else 1):
+            raise Failed(f"a frame 0x{number:X} was {decoded} times used and {refused} times counted as rejected")
+        if number == self.feedback_number:
+            if decoded and left - was_left not in {0, 1}:
+                raise Failed(f"a feedback was {left - was_left} times counted as repeated or overtaken")
+            if decoded and left == was_left and not drive.fresh and monitor.rejected == was_refused:
+                raise Failed("a feedback that is neither rejected nor a repetition is not fresh")
+            if refused and monitor.rejected != was_refused + 1:
+                raise Failed("a rejected feedback is not among the errors of the channel")
+        position = drive.position
+        if position is not None and not math.isfinite(position):
+            raise Failed(f"the measured position is {position}")
+        self._seen = rejected, self._decoded, left, monitor.rejected
+
+    def check_tick(self) -> None:
+        """Check what holds after every tick."""
+        service = self.service
+        if service.failure is not None:
+            raise service.failure
+        axis = service.axis
+        self.states[axis.state.value] += 1
+        self._check_command()
+        self._check_counts()
+        if axis.trip is not self._trip:
+            self._trip = axis.trip
+            if axis.trip is not None:
+                self.trips[axis.trip.code.value] += 1
+        counters, monitor, taken = service.link.counters, axis.drive.monitor, self.bus.taken
+        self._counts = counters.received, counters.errors, counters.dropped
+        self._last = None
+        self._seen = counters.rejected, self._decoded, monitor.doubled + monitor.reordered, monitor.rejected
+        self.frames += len(taken)
+        if axis.state in _IN_DRIVE:
+            self.frames_while_driven += len(taken)
+        taken.clear()
+
+    def _check_command(self) -> None:
+        """Check that the effort is finite, within its limit, and none on an axis that is not driven."""
+        service, axis = self.service, self.service.axis
+        state, (effort, enable) = axis.state, service.command
+        if not math.isfinite(effort) or abs(effort) > self.limit:
+            raise Failed(f"the effort is {effort}, the limit {self.limit}")
+        # A command that did not leave may have tripped the axis after it was made.
+        written = service.bus_error is None and service.link.counters.dropped == self._counts[2]
+        if effort != 0.0 and state not in _IN_DRIVE and written:
+            raise Failed(f"the effort is {effort} in state {state}")
+        if enable and state not in _IN_ENABLED and written:
+            raise Failed(f"the drive is enabled in state {state}")
+        if state in _IN_DRIVE and not axis.motion.finite:
+            raise Failed("the estimate is not finite while the axis is driven")
+
+    def _check_counts(self) -> None:
+        """Check that each frame that came in was counted, and each rejected one by its reason."""
+        counters, taken = self.service.link.counters, self.bus.taken
+        received, errors, _ = self._counts
+        if self.service.bus_error is None:
+            if self._last is not None:
+                self._check_frame()
+            wrong = sum(message.is_error_frame for message in taken)
+            ours = sum(message.arbitration_id in self.listened for message in taken if not message.is_error_frame)
+            if counters.received - received != ours or counters.errors - errors != wrong:
+                raise Failed(
+                    f"{ours} frames and {wrong} error frames came in, {counters.received - received} and "
+                    f"{counters.errors - errors} were counted"
+                )
+        elif counters.received == received:
+            self.discarded += len(taken)
+        if counters.rejected != sum(counters.rejected_by_reason.values()):
+            raise Failed(f"{counters.rejected} frames rejected, by reason {counters.rejected_by_reason}")
+
+    def check_end(self) -> None:
+        """Check the sums, and that the last command has disabled the drive."""
+        sent, profile = self.bus.sent, self.service.profile
+        if sent is not None and self.service.bus_error is None and self.bus.trouble is None:
+            command = self.commands.decode(sent)
+            if command.effort != 0.0 or command.enable:
+                raise Failed(f"the last command is {command}, {profile.command_id}")
+        if self.service.axis.state in {*DRIVEN, State.ARMING}:
+            raise Failed(f"the service has ended in state {self.service.axis.state}")
+
+    def run(self, prepare: Callable[[], Awaitable[None]]) -> None:
+        """Run the service until it is shut down by the script."""
+        self.prepare = prepare
+        unheard: list[str] = []
+
+        async def main() -> None:
+            asyncio.get_running_loop().set_exception_handler(lambda _, context: unheard.append(repr(context)))
+            try:
+                await self.service.run()
+            finally:
+                self.bus.shutdown()
+
+        with asyncio.Runner(loop_factory=BenchLoop) as runner:
+            runner.run(main())
+        if unheard:
+            raise Failed(f"unhandled in the loop: {unheard[0]}")
+        self.check_end()

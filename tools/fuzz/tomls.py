@@ -1,0 +1,395 @@
+"""Random and mutated configurations: each is either loaded and runs, or refused with file and key or line."""
+
+import asyncio
+import importlib.resources
+import random
+import tempfile
+import time
+import types
+import typing
+import warnings
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from fuzz.bench import Bench, Failed
+from fuzz.drives import Drive
+from fuzz.outcome import Outcome
+from fuzz.reproducible import reproducible
+from twostage_servo.axis.state import State
+from twostage_servo.config import Config, ConfigError, LoadedConfig, load
+from twostage_servo.service.assembly import build_service
+
+PER_EPISODE = 25
+"""Configurations of one episode."""
+
+SLOW_S = 5.0
+"""Time at which a configuration counts as one that hangs."""
+
+_WHOLE_FILE = (
+    "there is no setting in this file",
+    "is larger than",
+    "nested too deeply",
+    " more; is this a configuration",
+)
+"""What is said of a whole file, where there is no key or line to name."""
+
+KNOWN: tuple[str, ...] = ()
+"""What is known to be said without key or line, although there is one; to be emptied as that is put right."""
+
+_TICKS = 60
+
+_WORDS = (
+    "true", "false", '""', '"x"', "'it''s'", '"\\u0000"', '"\\ud800"', '"é漢😀"', "[]", "{}", "[1, 2]", "[[]]",
+    "{ a = 1 }", "1979-05-27", "07:32:00", "1979-05-27T07:32:00Z", "nan", "+nan", "-nan", "inf", "-inf", "1e308",
+    "-1e308", "1e400", "-1e400", "1e-320", "0", "-0.0", "0.0", "-1", "1", "1e9", "1e-12", "5e-324",
+    "9223372036854775807", "9223372036854775808", "0x7fffffff", "0b1", "1_000", "1__0", "01", "1.", ".5", "+", "10.0",
+    '"10.0"', '"' + "a" * 2000 + '"', "9" * 5000, "[" * 150 + "]" * 150, "yes", "'''", '"""', '"/nowhere/at.all"',
+    '"."', '"\\n"', '"\\uFFFF"', "1e5", "3", "100", "0.001", "250", "1e6", "1e12",
+)  # fmt: skip
+
+
+@cache
+def shipped() -> tuple[tuple[str, str], ...]:
+    """Return name and text of each shipped configuration."""
+    folder = importlib.resources.files("twostage_servo_config")
+    names = sorted(entry.name for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    return tuple((name, (folder / name).read_text(encoding="utf-8")) for name in names)
+
+
+@cache
+def shipped_dbc() -> str:
+    """Return the shipped DBC."""
+    return (importlib.resources.files("twostage_servo_config") / "servo_drive.dbc").read_text(encoding="cp1252")
+
+
+@cache
+def all_keys() -> tuple[tuple[str, str, FieldInfo], ...]:
+    """Return table, key and declaration of every setting that there is."""
+    return tuple(_keys_of(Config, ""))
+
+
+def _keys_of(model: type[BaseModel], table: str) -> "typing.Iterator[tuple[str, str, FieldInfo]]":
+    for name, field in model.model_fields.items():
+        annotation = field.annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            yield from _keys_of(annotation, f"{table}.{name}".lstrip("."))
+        else:
+            yield table, name, field
+
+
+class ConfigMaker:
+    """Makes configurations.
+
+    Parameters
+    ----------
+    rng
+        Decides.
+    """
+
+    def __init__(self, rng: random.Random) -> None:
+        self._rng = rng
+
+    def config(self) -> tuple[bytes, bytes | None]:
+        """Return a file, and the DBC beside it that it may name."""
+        rng = self._rng
+        _, text = rng.choice(shipped())
+        kind = rng.random()
+        if kind < 0.04:
+            return rng.randbytes(rng.randrange(300)), None
+        if kind < 0.16:
+            text, dbc = self._with_dbc(text)
+            return text.encode(), dbc
+        plausible = kind < 0.5
+        lines = text.split("\n")
+        for _ in range(rng.choice((1, 1, 1, 2, 3, 6)) if plausible else 1 + rng.getrandbits(3)):
+            self._set_plausible(lines) if plausible else self._break(lines)
+        data = "\n".join(lines).encode("utf-8", "surrogatepass")
+        return (data if plausible or rng.random() < 0.7 else self._damage(data)), None
+
+    def _set_plausible(self, lines: list[str]) -> None:
+        """Give a key that there is a value of its type, within or about its bounds."""
+        rng = self._rng
+        table, key, field = rng.choice(all_keys())
+        _set(lines, table, key, _plausible(rng, field))
+
+    def _break(self, lines: list[str]) -> None:
+        rng = self._rng
+        lines += [] if lines else [""]
+        action, at = rng.randrange(11), rng.randrange(len(lines))
+        assigned = [index for index, line in enumerate(lines) if "=" in line.partition("#")[0]] or [at]
+        headers = [index for index, line in enumerate(lines) if line.startswith("[")] or [at]
+        target = rng.choice(assigned)
+        key = lines[target].partition("=")[0].strip() or "x"
+        if action < 3:
+            lines[target] = f"{key} = {rng.choice(_WORDS)}"
+        elif action == 3:
+            table, key, _ = rng.choice(all_keys())
+            _set(lines, table, key, rng.choice(_WORDS))
+        elif action == 4:
+            del lines[target]
+        elif action == 5:
+            lines.insert(at, rng.choice((lines[rng.choice(assigned)], lines[rng.choice(headers)])))
+        elif action == 6:
+            lines[target] = lines[target].replace(
+                key, rng.choice((key + "x", key[1:], key.upper(), "", "é", f"'{key}'", f"{key}.a"))
+            )
+        elif action == 7:
+            header = rng.choice(headers)
+            lines[header] = rng.choice(
+                ("[x]", "[[axis]]", "[axis.limits.x]", "[", "[]", "[axis", lines[header] * 2, f"[{lines[header]}]")
+            )
+        elif action == 8:
+            del lines[at:]
+            lines.append("")
+        elif action == 9:
+            lines.insert(
+                at,
+                rng.choice(
+                    (f"x = {rng.choice(_WORDS)}", "axis = 1", "[bus]", "=", "a.b.c = 1", "\0", "\ufeff", "# \x07")
+                ),
+            )
+        else:
+            rng.shuffle(lines)
+
+    def _damage(self, data: bytes) -> bytes:
+        rng = self._rng
+        damaged = bytearray(data)
+        for _ in range(1 + rng.getrandbits(3)):
+            if not damaged:
+                break
+            at = rng.randrange(len(damaged))
+            action = rng.randrange(5)
+            if action == 0:
+                damaged[at] = rng.getrandbits(8)
+            elif action == 1:
+                del damaged[at:]
+            elif action == 2:
+                del damaged[at : at + rng.randrange(40)]
+            elif action == 3:
+                damaged[at:at] = rng.randbytes(rng.randrange(8))
+            else:
+                damaged[at:at] = damaged[at : at + rng.randrange(200)]
+        return bytes(damaged)
+
+    def _with_dbc(self, text: str) -> tuple[str, bytes]:
+        """Let the file name a DBC that is damaged."""
+        rng = self._rng
+        lines = text.split("\n")
+        _set(lines, "protocol", "dbc", '"drive.dbc"')
+        dbc = shipped_dbc().split("\n")
+        for _ in range(1 + rng.getrandbits(2)):
+            at = rng.choice([index for index, line in enumerate(dbc) if "SG_" in line or "BO_" in line] or [0])
+            words = dbc[at].split(" ")
+            action = rng.randrange(7)
+            if action == 0:
+                del dbc[at]
+            elif action == 1:
+                dbc.insert(at, dbc[at])
+            elif action == 2:
+                dbc[at] = "".join(
+                    character if not character.isdigit() or rng.random() < 0.7 else rng.choice("0123456789")
+                    for character in dbc[at]
+                )
+            elif action == 3:
+                words[rng.randrange(len(words))] = rng.choice(
+                    (
+                        "(0,0)",
+                        "(1e400,0)",
+                        "[nan|nan]",
+                        "[0|0]",
+                        "[5|1]",
+                        "-",
+                        "0|64@1-",
+                        "7|64@0+",
+                        "32|33@1+",
+                        "m0",
+                        "M",
+                        "1e308",
+                        "",
+                    )
+                )
+                dbc[at] = " ".join(words)
+            elif action == 4:
+                return "\n".join(lines), self._damage("\n".join(dbc).encode("cp1252", "replace"))
+            elif action == 5:
+                del dbc[at:]
+                dbc.append("")
+            else:
+                message, name = rng.choice((385, 513, 641)), rng.choice(("Position", "Effort", "x"))
+                dbc.append(f"SIG_VALTYPE_ {message} {name} : {rng.randrange(4)};")
+        return "\n".join(lines), "\n".join(dbc).encode("cp1252", "replace")
+
+
+def _set(lines: list[str], table: str, key: str, value: str) -> None:
+    """Set a key in its table, whether or not they are there."""
+    header = f"[{table}]"
+    start = next((index for index, line in enumerate(lines) if line.startswith(header)), None)
+    if start is None:
+        lines += [header, f"{key} = {value}"]
+        return
+    end = next((index for index in range(start + 1, len(lines)) if lines[index].startswith("[")), len(lines))
+    for index in range(start + 1, end):
+        if lines[index].partition("=")[0].strip() == key:
+            lines[index] = f"{key} = {value}"
+            return
+    lines.insert(start + 1, f"{key} = {value}")
+
+
+def _plausible(rng: random.Random, field: FieldInfo) -> str:
+    annotation = field.annotation
+    choices = _literals(annotation)
+    if choices and rng.random() < 0.9:
+        choice = rng.choice(choices)
+        return str(choice).lower() if isinstance(choice, bool) else f'"{choice}"'
+    if annotation is bool:
+        return rng.choice(("true", "false"))
+    bounds = {
+        name: getattr(bound, name)
+        for bound in field.metadata
+        for name in ("gt", "ge", "lt", "le")
+        if hasattr(bound, name)
+    }
+    low, high = bounds.get("ge", bounds.get("gt", -1e9)), bounds.get("le", bounds.get("lt", 1e9))
+    if not any(kind in typing.get_args(annotation) or annotation is kind for kind in (int, float)):
+        return rng.choice(('"x"', '"mm"', '"virtual"', '"Position"', '"Enable"', '""'))
+    default = field.default if isinstance(field.default, (int, float)) else 100.0
+    ends = (low, high, low + 1e-9, default, default * 2.0, default / 3.0, -default)
+    spread = max(low, min(high, 10.0 ** rng.uniform(-12.0, 12.0)))
+    value = rng.choice((*ends, spread, spread, spread, rng.uniform(low, high)))
+    return str(int(value)) if annotation is int or (value == int(value) and rng.random() < 0.2) else repr(float(value))
+
+
+def _literals(annotation: Any) -> tuple[Any, ...]:
+    origin = typing.get_origin(annotation)
+    if origin is typing.Literal:
+        return typing.get_args(annotation)
+    if origin in {typing.Union, types.UnionType}:
+        return tuple(choice for member in typing.get_args(annotation) for choice in _literals(member))
+    return ()
+
+
+def try_config(data: bytes, dbc: bytes | None, folder: Path, rng: random.Random) -> str:
+    """Load a configuration and build its service; let it run for a while if it can be built.
+
+    Returns
+    -------
+    str
+        ``refused``, ``refused_by_service``, ``ran`` or ``tripped``.
+
+    Raises
+    ------
+    Failed
+        If it is refused without file and key or line, takes too long, or does not run as it has to.
+    """
+    path = folder / "fuzz.toml"
+    path.write_bytes(data)
+    if dbc is not None:
+        (folder / "drive.dbc").write_bytes(dbc)
+    begun = time.perf_counter()
+    stage = "refused"
+    try:
+        loaded = load(path)
+        stage = "refused_by_service"
+        build_service(loaded)
+    except ConfigError as error:
+        check_problems(error, str(path))
+        return stage
+    finally:
+        took_s = time.perf_counter() - begun
+        if took_s > SLOW_S:
+            raise Failed(f"it took {took_s:.1f} s to load")
+    return ride(loaded, rng)
+
+
+def check_problems(error: ConfigError, source: str) -> None:
+    """Check that every problem names its file, and key or line, in a text that can be printed."""
+    if not error.problems:
+        raise Failed("a ConfigError without a problem")
+    for problem in error.problems:
+        text = str(problem)
+        text.encode("utf-8")
+        if not text.startswith(source):
+            raise Failed(f"does not name its file: {text[:300]!r}")
+        if not problem.message.strip():
+            raise Failed(f"says nothing: {text[:300]!r}")
+        if (
+            problem.line is None
+            and not problem.key
+            and not any(words in problem.message for words in _WHOLE_FILE + KNOWN)
+        ):
+            raise Failed(f"names neither key nor line: {text[:300]!r}")
+
+
+class _Given(Drive):
+    """A drive of a configuration that is loaded already."""
+
+    def __init__(self, loaded: LoadedConfig[Config]) -> None:
+        super().__init__("given", ())
+        self.loaded = loaded
+
+
+def ride(loaded: LoadedConfig[Config], rng: random.Random) -> str:
+    """Let an axis of this configuration be armed and moved on the bench; return ``ran`` or ``tripped``."""
+    bench = Bench(_Given(loaded), rng)
+    axis, limits = bench.service.axis, loaded.config.axis.limits
+    ticks = 0
+
+    async def prepare() -> None:
+        nonlocal ticks
+        ticks += 1
+        bench.answer_as_drive()
+        if ticks == _TICKS:
+            bench.service.shut_down()
+        elif ticks < _TICKS and axis.state is State.DISARMED:
+            bench.ask(op="arm")
+        elif ticks < _TICKS and axis.state is State.HOLDING:
+            bench.ask(op="move", position=rng.uniform(limits.position_minimum, limits.position_maximum))
+        elif ticks > 100_000:
+            raise Failed("the service does not end")
+        if ticks % 1000 == 0:
+            await asyncio.sleep(0)
+
+    bench.run(prepare)
+    return "tripped" if bench.trips else "ran"
+
+
+def run_episode(seed: int, episode: int, configs: int) -> Outcome:
+    """Try some configurations; raises whatever goes wrong.
+
+    Parameters
+    ----------
+    seed, episode
+        Decide on everything.
+    configs
+        How many to try.
+    """
+    rng = reproducible("tomls", seed, episode)
+    maker = ConfigMaker(rng)
+    became: Counter[str] = Counter()
+    findings = []
+    with tempfile.TemporaryDirectory(prefix="fuzz") as name, warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        for number in range(configs):
+            data, dbc = maker.config()
+            try:
+                became[try_config(data, dbc, Path(name), reproducible("ride", seed, episode, number))] += 1
+            except Exception as error:  # noqa: BLE001 - each is a finding, and the rest is tried as well
+                findings.append(_finding(number, data, dbc, error))
+    became["warnings"] = len(warned)
+    findings += [f"warning: {one.category.__name__}: {one.message} ({one.filename}:{one.lineno})" for one in warned]
+    return Outcome(configs, dict(became), findings)
+
+
+def _finding(number: int, data: bytes, dbc: bytes | None, error: Exception) -> str:
+    where = error.__traceback__
+    while where is not None and where.tb_next is not None:
+        where = where.tb_next
+    place = "" if where is None else f" ({Path(where.tb_frame.f_code.co_filename).name}:{where.tb_lineno})"
+    beside = "" if dbc is None else f"\n--- drive.dbc ---\n{dbc.decode('cp1252', 'backslashreplace')}"
+    text = data.decode("utf-8", "backslashreplace")
+    return f"{type(error).__name__}: {error}{place}\n--- config {number} ---\n{text}{beside}"

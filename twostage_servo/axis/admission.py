@@ -1,0 +1,105 @@
+"""Which requests an axis carries out: each check refuses with a code, the numbers, and what to do instead."""
+
+import math
+
+from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import Event, State, next_state
+from twostage_servo.axis.trips import Trip
+
+Obstacle = tuple[str, str]
+"""Code and text of a refusal."""
+
+LARGEST_POSITION = 1e9
+"""Largest magnitude that a position may be given, in axis unit."""
+
+
+class Admission:
+    """The checks that stand before every request.
+
+    Parameters
+    ----------
+    design
+        Limits and units.
+    drive
+        What the drive reports.
+    """
+
+    def __init__(self, design: AxisDesign, drive: DriveReport) -> None:
+        self._unit = design.settings.unit
+        self._limits = design.settings.limits
+        self._drive = drive
+
+    def is_inside(self, position: float, overrun: float = 0.0) -> bool:
+        """Whether a position (axis unit) is within the position limits, or past them by no more than the overrun."""
+        return self._limits.position_minimum - overrun <= position <= self._limits.position_maximum + overrun
+
+    def obstacle_to_arming(self, *, referenced: bool) -> Obstacle | None:
+        """Return what keeps a disarmed axis from being armed, or None."""
+        if obstacle := self._drive.obstacle_to_arming():
+            return obstacle
+        position, limits, unit = self._drive.position, self._limits, self._unit
+        if referenced and position is not None and not self.is_inside(position, limits.position_overrun):
+            return (
+                "position_limit",
+                (
+                    f"the axis stands at {position:.6g} {unit}, more than {limits.position_overrun:g} {unit} outside "
+                    f"its limits {limits.position_minimum:g} to {limits.position_maximum:g}: move "
+                    "it back by hand first."
+                ),
+            )
+        return None
+
+    def check_state(self, state: State, event: Event, trip: Trip | None) -> None:
+        """Refuse what the state machine does not admit."""
+        if next_state(state, event) is not None:
+            return
+        if trip is not None:
+            raise Refused("tripped", f"{say_tripped(trip)} {trip.next_action}")
+        if state is State.DISARMED:
+            raise Refused("disarmed", "the axis is disarmed: `arm` it first.")
+        raise Refused("busy", f"the axis is {state}: wait until it holds.")
+
+    def check_velocity(self, velocity: float, largest: float) -> None:
+        """Refuse a speed that is no positive number, or too large; both in axis unit/s."""
+        if not (math.isfinite(velocity) and 0.0 < velocity <= largest):
+            raise Refused(
+                "velocity_limit",
+                f"velocity {velocity:g} {self._unit}/s: it must be greater than 0 and at most {largest:g} "
+                f"{self._unit}/s.",
+            )
+
+    def check_target(self, target: float, *, referenced: bool) -> None:
+        """Refuse a set-point (axis unit) outside the limits, and any on an axis that does not know its position."""
+        if not (math.isfinite(target) and self.is_inside(target)):
+            raise Refused(
+                "position_limit",
+                f"set-point {target:g} {self._unit}: it must lie from {self._limits.position_minimum:g} to "
+                f"{self._limits.position_maximum:g} {self._unit}.",
+            )
+        if not referenced:
+            raise Refused("not_homed", "the axis does not know its position: `home` it first, or `jog`.")
+
+    def check_switches(self, direction: float) -> None:
+        """Refuse motion (its sign counts) towards a limit switch that is active."""
+        if switch := self._drive.blocks(direction):
+            raise Refused("limit_switch", f"the {switch} limit switch is active: only motion away from it is possible.")
+
+    def check_place(self, position: float, velocity: float, rest_velocity: float) -> None:
+        """Refuse to call the place where the axis stands `position` (axis unit) unless it is seen, and at rest."""
+        if not (math.isfinite(position) and abs(position) <= LARGEST_POSITION):
+            raise Refused(
+                "position_limit", f"position {position:g}: a finite number up to {LARGEST_POSITION:g} is needed."
+            )
+        if self._drive.position is None or self._drive.is_stale:
+            raise Refused("no_feedback", "there is no fresh feedback from the drive.")
+        if abs(velocity) > rest_velocity:
+            raise Refused(
+                "busy", f"the axis moves at {velocity:.4g} {self._unit}/s: its place can be set only at rest."
+            )
+
+
+def say_tripped(trip: Trip) -> str:
+    """Return the sentence that an operator is refused with after a trip."""
+    return f"the axis has tripped ({trip.code}): {trip.cause.rstrip('.')}."

@@ -1,0 +1,296 @@
+"""The machine inside an axis: its state, its trips, and what it does on each tick."""
+
+from twostage_servo.axis.admission import Admission
+from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.homing import Homing, HomingFailed
+from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback, Move
+from twostage_servo.axis.motion import Motion
+from twostage_servo.axis.state import BRAKING, CIA402, DRIVEN, ENABLED, Event, State, next_state
+from twostage_servo.axis.supervision import Supervision
+from twostage_servo.axis.trips import EVENTS, RULES, Trip, TripCode
+from twostage_servo.control.two_stage import Stage, TwoStageLaw
+
+_DISABLED_TICKS = 2
+"""Disable commands that must have left before the axis may be armed: one may have been lost."""
+
+
+class Machine:
+    """What an axis does by itself, tick by tick; :class:`~twostage_servo.axis.axis.Axis` adds what it is asked for.
+
+    Parameters
+    ----------
+    design
+        Gains, observer and settings.
+    counter_modulus
+        Number of values of the feedback's alive counter.
+    position_period
+        Width in axis unit of the range in which the encoder counts before it rolls over; 0 if it does not.
+    resolution
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+
+    Attributes
+    ----------
+    state
+        Where the axis stands; see :class:`State`.
+    drive
+        What the drive reports: position, age, inputs, faults.
+    motion
+        The law, the response it is designed for, and which feedback it believes.
+    referenced
+        Whether positions can be trusted: the axis has been homed since it last lost its reference, or needs no homing.
+    trip
+        The latched trip, or None. A later one does not replace it, but its reaction wins if it is more severe.
+    escalation
+        The later trip that did so, or None.
+    move
+        The latest move, jog or homing, or None.
+    """
+
+    def __init__(
+        self, design: AxisDesign, counter_modulus: int, position_period: float = 0.0, resolution: float = 0.0
+    ) -> None:
+        self.design = design
+        self.settings = design.settings
+        self.state = State.DISARMED
+        self.drive = DriveReport(self.settings, design.period_s, counter_modulus, position_period)
+        self.motion = Motion(design, self.drive, resolution)
+        self.supervision = Supervision(design, self.motion)
+        self._admission = Admission(design, self.drive)
+        self.referenced = not self.settings.homing.required
+        self.trip: Trip | None = None
+        self.escalation: Trip | None = None
+        self.move: Move | None = None
+        self._homing: Homing | None = None
+        self._final_target: float | None = None  # after an approach from the other side
+        self._tick = 0
+        self._ticks_arming = 0
+        self._disabled_ticks = 0
+        self._jog_ticks_left = 0
+        self._arming_ticks = design.ticks(self.settings.arming_timeout_ms)
+        self._jog_ticks = design.ticks(self.settings.jog_timeout_ms)
+
+    @property
+    def law(self) -> TwoStageLaw:
+        """The law that drives the axis."""
+        return self.motion.law
+
+    # What the tick does ----------------------------------------------------------------------------------------------
+
+    def begin_tick(self, tick: int, missed: int) -> None:
+        """Open a tick: its index, and how many were missed just before it."""
+        self._tick = tick
+        self.drive.begin_tick(missed)
+        self.motion.begin_tick(missed)
+        self._jog_ticks_left -= 1 + missed
+        if self.state in DRIVEN and missed:
+            self.motion.skip(missed)
+            if missed > self.settings.limits.missed_ticks:
+                self.raise_trip(
+                    TripCode.MISSED_TICKS,
+                    f"{missed} ticks of {1e3 * self.design.period_s:g} ms were missed in one go; "
+                    f"axis.limits.missed_ticks is {self.settings.limits.missed_ticks}",
+                )
+
+    def take_feedback(self, feedback: Feedback) -> None:
+        """Take one decoded feedback frame; the newest of a tick counts."""
+        self.drive.take(feedback)
+
+    def take_heartbeat(self, boot_counter: int | None) -> None:
+        """Take a heartbeat with its count of the drive's boots; a drive that has rebooted has lost its position."""
+        if self.drive.take_heartbeat(boot_counter):
+            self.referenced = False
+            self.raise_trip(TripCode.DRIVE_REBOOTED, "the drive has rebooted while it was enabled")
+
+    def notice_foreign_command(self, frame: str) -> None:
+        """Take notice of a command to this axis' drive that is not its own; two masters can't hold one axis."""
+        self.drive.notice_foreign_command()
+        self.raise_trip(TripCode.FOREIGN_COMMAND, f"another node on the bus commands this drive: {frame}")
+
+    def step(self) -> Command:
+        """Close the tick: run the law, hold the limits, and return what goes to the drive."""
+        state = self.state
+        was_driven = state in DRIVEN
+        if state in ENABLED:
+            for code, cause in self.drive.troubles(arming=state is State.ARMING):
+                self.raise_trip(code, cause)
+        if self.state not in DRIVEN:
+            self.motion.track()
+        if self.state is State.ARMING:
+            self._arm_when_enabled()
+        self._disabled_ticks = 0 if self.state in ENABLED else self._disabled_ticks + 1
+        if self.state not in DRIVEN or not was_driven:
+            return Command(0.0, enable=self.state in ENABLED)
+        if self.state is State.JOGGING and self._jog_ticks_left <= 0:
+            self._apply(Event.STOP)
+            reason = f"the jog was not renewed within {self.settings.jog_timeout_ms:g} ms"
+            self._brake(self.settings.limits.acceleration, "stopped", reason)
+        return self._drive()
+
+    def raise_trip(self, code: TripCode, cause: str) -> None:
+        """Latch a trip; a second one changes nothing but that a more severe reaction takes over."""
+        rule = RULES[code]
+        after = next_state(self.state, EVENTS[rule.reaction])
+        if after is None:
+            return
+        trip = Trip(code, cause, self._tick)
+        self.motion.blind = self.motion.blind or rule.blind
+        if rule.estimate_lost:
+            self.motion.distrust()
+        self.referenced = self.referenced and not rule.unreferenced
+        if self.trip is None:
+            self.trip = trip
+        elif after is self.state:
+            return
+        else:
+            self.escalation = trip
+        before, self.state = self.state, after
+        self._end_move("tripped", trip.cause)
+        if self.state in BRAKING and self.state is not before:
+            quick = self.state is State.TRIPPED_QUICK_STOP
+            limits = self.settings.limits
+            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "tripped")
+
+    def end_braking(self) -> None:
+        """Give up a braking that takes too long, and disable the drive as at its end."""
+        if next_state(self.state, Event.AT_REST) in {State.DISARMED, State.TRIPPED}:
+            self._apply(Event.AT_REST)
+
+    def obstacle_to_arming(self) -> tuple[str, str] | None:
+        """Return code and text of what keeps a disarmed axis from being armed, or None."""
+        if self._disabled_ticks < _DISABLED_TICKS:
+            return "still_enabled", "the drive is only just being disabled: ask again."
+        return self._admission.obstacle_to_arming(referenced=self.referenced)
+
+    @property
+    def ready_to_arm(self) -> bool:
+        """Whether the axis could be armed now."""
+        return self.state is State.DISARMED and self.obstacle_to_arming() is None
+
+    @property
+    def cia402_state(self) -> str:
+        """The state in the terms of CiA 402."""
+        if self.state is State.DISARMED and self.obstacle_to_arming() is not None:
+            return "switch on disabled"
+        return CIA402[self.state]
+
+    @property
+    def following_error(self) -> float:
+        """Estimated position minus the position that the axis is designed to have now, axis unit; 0 when not driven."""
+        return self.motion.following_error if self.state in DRIVEN else 0.0
+
+    # Parts of the tick -----------------------------------------------------------------------------------------------
+
+    def _arm_when_enabled(self) -> None:
+        self._ticks_arming += 1
+        if self.drive.enabled is not False and self.drive.fresh and self._ticks_arming > 1:
+            self.motion.start()
+            self.supervision.start()
+            self.move = self._final_target = None
+            moving = abs(self.law.observer.velocity) > self.design.rest_velocity
+            self._apply(Event.ENABLED_MOVING if moving else Event.ENABLED)
+            if moving:  # pushed by hand, or still coasting: caught, not jerked back
+                self._brake(self.settings.limits.acceleration, "stopped")
+        elif self._ticks_arming > self._arming_ticks:
+            self.raise_trip(
+                TripCode.DRIVE_NOT_ENABLED,
+                f"the drive has not reported that it is enabled within {self.settings.arming_timeout_ms:g} ms",
+            )
+
+    def _drive(self) -> Command:
+        law = self.law
+        changeovers = law.changeovers
+        effort = self.motion.step()
+        if not self.motion.finite:
+            self.raise_trip(TripCode.NOT_FINITE, f"the law gives effort {effort} at position {law.observer.position:g}")
+            self.motion.lose_track()
+            return NO_EFFORT
+        if law.changeovers != changeovers:
+            self._after_changeover()
+        for code, cause in self.supervision.violations(self.state, referenced=self.referenced):
+            self.raise_trip(code, cause)
+        self._check_switch_ahead()
+        if self.state is State.HOMING:
+            self._home()
+        elif self.state in {State.POSITION_STAGE, State.JOGGING}:
+            self._check_window()
+        return Command(effort, enable=True) if self.state in DRIVEN else NO_EFFORT
+
+    def _after_changeover(self) -> None:
+        # The response is judged stage by stage: what the speed stage gained or lost does not count in the next.
+        self.motion.nominal.continue_from(self.law)
+        if self.state in BRAKING:
+            self.supervision.forget_move()
+            self._apply(Event.AT_REST)
+        elif self.state is not State.HOLDING:
+            self._apply(Event.CHANGEOVER)
+
+    def _check_switch_ahead(self) -> None:
+        velocity = self.law.observer.velocity
+        if abs(velocity) > self.design.rest_velocity and (switch := self.drive.blocks(velocity)):
+            self.raise_trip(
+                TripCode.LIMIT_SWITCH,
+                f"the {switch} limit switch is active at {self.law.observer.position:.6g} {self.settings.unit}, and "
+                f"the axis moves towards it at {velocity:.4g} {self.settings.unit}/s",
+            )
+
+    def _check_window(self) -> None:
+        position = self.drive.position if self.drive.fresh else None
+        if position is None or self.law.stage is not Stage.POSITION or not self.supervision.has_arrived(position):
+            return
+        if self._final_target is not None and self.move is not None:
+            target, self._final_target = self._final_target, None
+            self._begin_leg(target, self.move.velocity)
+            return
+        self.supervision.forget_move()
+        self._end_move("reached")
+        self._apply(Event.REACHED)
+
+    def _home(self) -> None:
+        assert self._homing is not None  # noqa: S101 - the state and the search begin and end together
+        try:
+            self._homing.step()
+        except HomingFailed as failure:
+            self.raise_trip(TripCode.HOMING_FAILED, str(failure))
+            return
+        if self._homing.done and self._homing.reference is not None:
+            self._reference_at(self._homing.reference, self.settings.homing.position)
+            self._end_move("reached")
+            self._apply(Event.REACHED)
+
+    # Small parts -----------------------------------------------------------------------------------------------------
+
+    def _apply(self, event: Event) -> None:
+        state = next_state(self.state, event)
+        if state is None:
+            raise RuntimeError(f"event {event} is not admitted in state {self.state}")
+        self.state = state
+
+    def _brake(self, deceleration: float, outcome: str, reason: str | None = None) -> None:
+        self._end_move(outcome, reason)
+        self.motion.stop(deceleration)
+        self.supervision.begin_braking(deceleration)
+
+    def _set_target(self, target: float, velocity: float) -> None:
+        self.motion.set_target(target, velocity)
+        self.supervision.begin_move()
+
+    def _begin_leg(self, target: float, velocity: float) -> None:
+        """Set out for a set-point, by whichever stage the law begins with."""
+        self._set_target(target, velocity)
+        self._apply(Event.MOVE_SPEED if self.law.stage is Stage.SPEED else Event.MOVE_POSITION)
+
+    def _reference_at(self, found: float, position: float) -> None:
+        """Count positions so that the place `found` (axis unit, by the former origin) is `position`."""
+        self.drive.shift(position - found)
+        self.motion.shift(position - found)
+        self.referenced = True
+
+    def _end_move(self, outcome: str, reason: str | None = None) -> None:
+        self._final_target = None
+        if self._homing is not None:
+            self._homing.end()
+            self._homing = None
+        if self.move is not None and self.move.outcome == "moving":
+            self.move.outcome = outcome
+            self.move.reason = reason

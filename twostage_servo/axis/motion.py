@@ -1,0 +1,199 @@
+"""The law of an axis with the response that it is designed to have beside it, and the feedback that it may believe."""
+
+import math
+
+from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.drive_report import DriveReport
+
+IMPLAUSIBLE_SAMPLES = 2
+"""Samples in a row beyond the innovation limit that are a fault: one is a spike, two are not."""
+
+_FADING = 0.998
+"""Share that is left a tick later of the speed by which the model is judged: a time constant of 5 s."""
+
+
+class Motion:
+    """Runs the law on what the drive reports.
+
+    Parameters
+    ----------
+    design
+        Gains, observer and settings.
+    drive
+        What the drive reports.
+    resolution
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+
+    Attributes
+    ----------
+    law
+        The law that drives the axis, with its observer.
+    nominal
+        The same law on a free-running model of the plant: the response that the axis is designed to give.
+    blind
+        Whether the feedback is no longer believed: the model alone brings the axis to rest.
+    predicted
+        Ticks in which the model had to stand in for a sample, so far.
+    implausible
+        Samples in a row, up to now, that lay farther from their prediction than the limit.
+    implausible_distance
+        How far the last of them did, in axis unit.
+    model_test
+        Whether the plant answers the effort as the model says.
+    unchanged_ticks, unchanged_effort
+        For how many samples the encoder has shown the same position, and by how much the effort (effort unit) has
+        changed meanwhile.
+    """
+
+    def __init__(self, design: AxisDesign, drive: DriveReport, resolution: float) -> None:
+        self.law = design.build_law()
+        self.nominal = design.build_nominal_law()
+        self.blind = False
+        self.predicted = 0
+        self.implausible = 0
+        self.implausible_distance = 0.0
+        self.model_test = design.build_model_test()
+        self.unchanged_effort, self.unchanged_ticks = 0.0, 0
+        self._drive = drive
+        self._period_s = design.period_s
+        self._limits = design.settings.limits
+        self._tracking = False
+        self._missed = 0
+        self._tracked: float | None = None  # the last sample, if it is a tick old
+        self._speed_of_late = 0.0
+        self._effort = 0.0  # what acts, also while the law does not run
+        self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
+        self._resolution = 1.5 * resolution
+
+    def start(self) -> None:
+        """Hold from here on; the observer has been tracking the axis until now."""
+        self.law.start()
+        self.nominal.continue_from(self.law)
+        self.model_test.start(self.law.observer)
+        self._speed_of_late = 0.0
+        self.blind = False
+        self.implausible = 0
+        self.unchanged_effort, self.unchanged_ticks = 0.0, 0
+        self._unchanged = None
+
+    def set_target(self, target: float, velocity: float) -> None:
+        """Take a set-point in axis unit, with a cruise velocity in axis unit/s."""
+        self.law.set_target(target, velocity)
+        self.nominal.set_target(target, velocity)
+
+    def stop(self, deceleration: float) -> None:
+        """Come to rest with a deceleration in axis unit/s²; what the axis should do now is judged from here on."""
+        self.law.stop(deceleration)
+        self.nominal.continue_from(self.law)
+
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower."""
+        self.law.shift(distance)
+        self.nominal.shift(distance)
+        self.model_test.shift(distance)
+        self._unchanged = None
+
+    def begin_tick(self, missed: int) -> None:
+        """Open a tick, before which some were missed."""
+        self._missed = missed
+
+    def skip(self, periods: int) -> None:
+        """Account for ticks that were missed."""
+        self.law.skip(periods)
+        self.nominal.skip(periods)
+        for _ in range(periods):
+            self.model_test.predict(self.law.effort)
+
+    def step(self) -> float:
+        """Run the law for a tick and return the effort in effort unit."""
+        sample, before = self._believed_sample(), self._effort
+        self._effort = self.law.step(sample)
+        self.nominal.step(None)
+        if sample is None:
+            self.predicted += 1
+            self.model_test.predict(before)
+        else:
+            # By the speed of the whole move: what a wrong pole does shows while the axis slows down.
+            self._speed_of_late = max(_FADING * self._speed_of_late, abs(self.law.observer.velocity))
+            limit = self._innovation_limit(self._speed_of_late)
+            self.model_test.update(sample, before, self.law.observer.innovation, limit)
+            self._compare_with_the_last(sample)
+        return self._effort
+
+    def track(self) -> None:
+        """Let the observer follow the axis while no effort acts, so that arming starts from its position and speed."""
+        observer, effort = self.law.observer, self._effort
+        self._effort = 0.0
+        position = self._dated_sample()
+        if self._drive.is_stale or self.blind:
+            self._tracking = self.blind = False
+        elif position is None:
+            observer.predict(effort)
+        elif self._tracking and abs(position - observer.position) <= self.innovation_limit:
+            observer.update(position, effort)
+        else:
+            # An axis that moves when it is first seen, or is knocked: two samples say how fast.
+            observer.reset(position)
+            if self._tracking and self._tracked is not None:
+                observer.velocity = (position - self._tracked) / self._period_s
+                observer.position += position - self._tracked
+            self._tracking = True
+        self._tracked = position
+
+    def distrust(self) -> None:
+        """Give up the whole estimate: what counts the wrong way says nothing of the speed, so nothing can brake it."""
+        self.blind = True
+        self.law.observer.reset(self.law.observer.position)
+
+    def lose_track(self) -> None:
+        """Start the observer afresh at the next sample: what it holds is not to be built on."""
+        self._tracking = False
+
+    @property
+    def innovation_limit(self) -> float:
+        """How far a sample may lie from its prediction at the present speed, in axis unit."""
+        return self._innovation_limit(abs(self.law.observer.velocity))
+
+    @property
+    def following_error(self) -> float:
+        """Estimated position minus the position that the axis is designed to have now, in axis unit."""
+        return self.law.observer.position - self.nominal.observer.position
+
+    @property
+    def finite(self) -> bool:
+        """Whether effort and estimate are numbers."""
+        observer = self.law.observer
+        return math.isfinite(self.law.effort + observer.position + observer.velocity + observer.disturbance)
+
+    def _innovation_limit(self, speed: float) -> float:
+        return self._limits.innovation + 1e-3 * self._limits.innovation_time_ms * speed
+
+    def _compare_with_the_last(self, sample: float) -> None:
+        if self._unchanged is None or abs(sample - self._unchanged[0]) > self._resolution:
+            self._unchanged = sample, self._effort
+            self.unchanged_ticks = 0
+        self.unchanged_ticks += 1
+        self.unchanged_effort = abs(self._effort - self._unchanged[1])
+
+    def _believed_sample(self) -> float | None:
+        """Return this tick's sample; None if there is none, or none that lies where the model expects it."""
+        sample = self._dated_sample()
+        if sample is None or self.blind:
+            return None
+        distance = sample - self.law.observer.position
+        if abs(distance) <= self.innovation_limit:
+            self.implausible = 0
+            return sample
+        self.implausible += 1
+        self.implausible_distance = distance
+        return None
+
+    def _dated_sample(self) -> float | None:
+        """Return this tick's sample as it was at the last command, which is when the observer wants it."""
+        drive = self._drive
+        if not drive.fresh or drive.position is None:
+            return None
+        if drive.age_s is None:
+            # After missed ticks nobody knows which of them a sample without a date belongs to.
+            return None if self._missed else drive.position
+        return drive.position + self.law.observer.velocity * (drive.age_s - self._period_s)

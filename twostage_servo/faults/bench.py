@@ -1,0 +1,323 @@
+"""The bench: a drive, its service and an operator as processes of their own, in real time, on a loopback bus.
+
+Each bench has a folder and a port to itself, and leaves neither a process nor a file behind.
+"""
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from twostage_servo.canbus.link import BusSettings, LinkError
+from twostage_servo.cli.configuration import shipped_configuration
+from twostage_servo.config import Config, LoadedConfig, load
+from twostage_servo.faults.listening import Listener, Operator, Snapshot
+from twostage_servo.service.assembly import compile_profile
+
+LONGEST_S = 60.0
+"""Ends a wait for something that never comes; nothing is measured against it."""
+
+_GLANCE_S = 0.005
+"""Pause between two looks at what has come."""
+_REST_S = 0.2
+"""A place that is kept for so long is rest."""
+
+
+class BenchError(Exception):
+    """The processes did not come so far that a fault could be injected."""
+
+
+class Child:
+    """A running verb, in a process group of its own; what it prints is kept in the bench's folder.
+
+    Parameters
+    ----------
+    folder, name
+        Where that is kept, and under which name.
+    command
+        The module to run, and its arguments.
+    environment
+        What is added to the environment.
+    """
+
+    def __init__(
+        self, folder: Path, name: str, command: Sequence[str], environment: Mapping[str, str] | None = None
+    ) -> None:
+        self.name = name
+        self._out, self._log = folder / f"{name}.out", folder / f"{name}.log"
+        module, *arguments = command
+        inherited = {key: value for key, value in os.environ.items() if key not in _NOT_INHERITED}
+        # This very package, and no file of the working directory that is called like a module.
+        package = str(Path(__file__).parents[2])
+        inherited["PYTHONPATH"] = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
+        with self._out.open("wb") as out, self._log.open("wb") as log:
+            self.process = subprocess.Popen(  # noqa: S603 - this package itself
+                [sys.executable, "-P", "-m", f"{__package__}.{module}", str(os.getpid()), *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=log,
+                env=inherited | {"OPENBLAS_NUM_THREADS": "1"} | dict(environment or {}),
+                start_new_session=True,
+            )
+
+    @property
+    def ended(self) -> bool:
+        """Whether the process has ended."""
+        return self.process.poll() is not None
+
+    def log(self) -> str:
+        """Return what it has logged."""
+        return self._log.read_text(encoding="utf-8", errors="replace")
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal to the process."""
+        self.process.send_signal(number)
+
+    def end(self, number: signal.Signals) -> int:
+        """Send a signal and wait for the end; return the exit code, which is that of SIGKILL if it took too long."""
+        self.send(number)
+        try:
+            return self.process.wait(LONGEST_S)
+        except subprocess.TimeoutExpired:
+            self.kill()
+            return self.process.wait()
+
+    def printed(self) -> dict[str, Any]:
+        """Return the JSON object that it has printed, empty if there is none."""
+        lines = self._out.read_text(encoding="utf-8").splitlines()
+        result: dict[str, Any] = json.loads(lines[-1]) if lines else {}
+        return result
+
+    def kill(self) -> None:
+        """End the process and whatever it has started."""
+        try:
+            os.killpg(self.process.pid, signal.SIGKILL)
+        except ProcessLookupError:
+            pass
+        finally:
+            self.process.wait()
+
+
+_NOT_INHERITED = frozenset({"NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM"})
+"""Between the service manager and the campaign's own process."""
+
+
+class Bench:
+    """Drive, service and operator of one axis; a context manager.
+
+    Parameters
+    ----------
+    path
+        The configuration; None for the embedded one.
+    overrides
+        ``KEY=VALUE`` arguments that belong to it.
+    environment
+        Of the service, beside its folder's path.
+
+    Attributes
+    ----------
+    folder
+        Where all files are.
+    loaded
+        The configuration that the processes run on.
+    drive, service, listener, operator
+        The parties.
+    """
+
+    def __init__(
+        self,
+        path: Path | None,
+        overrides: Sequence[str],
+        environment: Callable[[Path], Mapping[str, str]] = lambda _: {},
+    ) -> None:
+        self.drive: Child
+        self.service: Child
+        self.listener: Listener
+        self.operator: Operator
+        self.loaded: LoadedConfig[Config]
+        self._path = path
+        self._overrides = list(overrides)
+        self._environment = environment
+        self._stack = ExitStack()
+        self._services = 0
+        self._hear: Callable[[], None] = lambda: None
+
+    def __enter__(self) -> Self:
+        """Start all, up to an axis that could be armed."""
+        with ExitStack() as stack:
+            self.folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="twostage-servo-")))
+            self._stack = stack
+            self._prepare()
+            self.drive = self._start("drive", "drive", {})
+            # Only a drive that serves this port shows that nobody else's bus is behind it.
+            self.wait(lambda: "on the bus" in self.drive.log(), "the drive to be on the bus")
+            try:
+                self.listener = Listener(self.loaded.config.bus, self.profile)
+            except LinkError as error:
+                raise BenchError(str(error)) from error
+            stack.callback(self.listener.close)
+            self._hear = self.listener.take
+            self.start_service()
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """End all."""
+        self._stack.close()
+
+    def start_service(self) -> None:
+        """Start the service, also after an earlier one has ended, and take the operator's place."""
+        self._services += 1
+        self.service = self._start("run", f"service-{self._services}", self._environment(self.folder))
+
+        def connect() -> bool:
+            try:
+                self.operator = Operator(self.socket)
+            except OSError:
+                return False
+            return True
+
+        self.wait(connect, "the service's control socket")
+        self._stack.callback(self.operator.close)
+        self.watch(lambda now: now["bus"]["open"] and now["axis"]["position"] is not None, "the drive's feedback")
+
+    # Waiting ---------------------------------------------------------------------------------------------------------
+
+    def wait(self, condition: Callable[[], bool], what: str) -> None:
+        """Wait until a condition holds.
+
+        Raises
+        ------
+        BenchError
+            If it never does.
+        """
+        end_s = time.monotonic() + LONGEST_S
+        while not condition():
+            self._check(end_s, what)
+            self.take()
+            time.sleep(_GLANCE_S)
+
+    def watch(self, condition: Callable[[Snapshot], bool], what: str) -> Snapshot:
+        """Look at one snapshot after the other until a condition holds; return that one.
+
+        Raises
+        ------
+        BenchError
+            If it never does.
+        """
+        end_s = time.monotonic() + LONGEST_S
+        while True:
+            alive = self.operator.take()
+            self.take()
+            while self.operator.unread:
+                if condition(snapshot := self.operator.unread.popleft()):
+                    return snapshot
+            if not alive:
+                raise BenchError(f"the service has gone, in the wait for {what}:\n{self.service.log()[-1000:]}")
+            self._check(end_s, what)
+            select.select([self.operator], [], [], _GLANCE_S)
+
+    def take(self) -> None:
+        """Take what the bus has brought."""
+        try:
+            self._hear()
+        except LinkError as error:
+            raise BenchError(f"the bus is gone: {error}") from error
+
+    def wait_for_rest(self, since_s: float, longest_s: float) -> bool:
+        """Wait until the axis has come to rest after a time in s; return False if it goes on for longer than that."""
+        listener = self.listener
+        begun = len(listener.reports)
+        rested = False
+
+        def done() -> bool:
+            nonlocal rested
+            rested = listener.rests(since_s, _REST_S, self.tolerance)
+            goes_on = listener.reports[-1].time_s > since_s + longest_s and len(listener.reports) > begun + 100
+            return rested or goes_on
+
+        self.wait(done, "the axis to come to rest")
+        return rested
+
+    @property
+    def tolerance(self) -> float:
+        """How far the reports of an axis at rest may differ, in axis unit."""
+        config = self.loaded.config
+        step = max(self.profile.position_quantum, config.simulation.quantum)
+        return max(1e-3 * config.axis.cruise_velocity * _REST_S, 1.5 * step)
+
+    def _check(self, end_s: float, what: str) -> None:
+        if self.drive.ended:
+            raise BenchError(f"the drive has ended, in the wait for {what}:\n{self.drive.log()[-1000:]}")
+        if time.monotonic() > end_s:
+            raise BenchError(f"waited {LONGEST_S:g} s in vain for {what}")
+
+    # Starting --------------------------------------------------------------------------------------------------------
+
+    def _prepare(self) -> None:
+        own = load(self._path, self._overrides)
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            port = probe.getsockname()[1]
+        self.socket = self.folder / "control.sock"
+        self._overrides += bench_overrides(own.config, port, self.folder)
+        self.loaded = load(self._path, self._overrides)
+        self.profile = compile_profile(self.loaded)
+
+    def _start(self, verb: str, name: str, environment: Mapping[str, str]) -> Child:
+        path = self._path or shipped_configuration("demo.toml")
+        options = [argument for override in self._overrides for argument in ("--set", override)]
+        command = ["child", verb, "--config", str(path), *options, "--json"]
+        child = Child(self.folder, name, command, environment)
+        self._stack.callback(child.kill)
+        return child
+
+
+def bench_overrides(config: Config, port: int, folder: Path) -> list[str]:
+    """Return what a configuration needs to run on a bench, as ``KEY=VALUE`` arguments.
+
+    Service and drive share a machine with whatever else runs there. A limit that tells a late host from a fault is
+    therefore widened: which of them trips on a busy day is not what the bench is for. The drive reports the true
+    position, as what its travel is measured by.
+    """
+    limits = config.axis.limits
+    widened = {
+        "axis.limits.stale_feedback_ms": max(limits.stale_feedback_ms, 150.0),
+        "axis.limits.missed_ticks": max(limits.missed_ticks, 20),
+        "axis.limits.heartbeat_ms": max(limits.heartbeat_ms, 1000.0),
+        "axis.limits.feedback_errors": 100,
+        "axis.limits.innovation_time_ms": 100.0,
+        "axis.limits.following_error_time_s": max(limits.following_error_time_s, 1.0),
+        "simulation.command_timeout_ms": max(config.simulation.command_timeout_ms, 250.0),
+        "simulation.noise_std": 0.0,
+        "simulation.frame_loss": 0.0,
+        "simulation.hub": "true",
+        "service.socket": json.dumps(str(folder / "control.sock")),
+        "service.trip_folder": json.dumps(str(folder / "trips")),
+        "service.log_level": "info",
+    }
+    bus = BusSettings(
+        interface="socketcand",
+        channel="can0",
+        options={"host": "127.0.0.1", "port": port},
+        max_frames_per_tick=config.bus.max_frames_per_tick,
+        reopen_interval_ms=100.0,
+    )
+    table = (
+        f'bus={{ interface = "{bus.interface}", channel = "{bus.channel}", options = {{ host = "127.0.0.1", '
+        f"port = {port} }}, max_frames_per_tick = {bus.max_frames_per_tick}, "
+        f"reopen_interval_ms = {bus.reopen_interval_ms} }}"
+    )
+    return [table, *(f"{key}={value}" for key, value in widened.items())]

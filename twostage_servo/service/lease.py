@@ -1,0 +1,54 @@
+"""The operator's lease: one client commands, the rest watch."""
+
+from twostage_servo.axis.messages import Refused
+
+
+class Lease:
+    """Who commands the axis.
+
+    A client that commands takes the lease by it, if nobody holds it, and keeps it until it gives it back or its
+    connection ends. So two operators never pull at one axis, and no script has to ask for anything first.
+
+    Attributes
+    ----------
+    holder
+        Name of the client that commands, such as ``pid 812 uid 1000 #3``; None if nobody does.
+    """
+
+    def __init__(self) -> None:
+        self.holder: str | None = None
+
+    def demand(self, client: str) -> None:
+        """Let a client command.
+
+        Raises
+        ------
+        Refused
+            If another client holds the lease.
+        """
+        if self.holder not in {None, client}:
+            raise Refused(
+                "lease_held",
+                f"{self.holder} commands this axis: end it, let it `release`, or `take` the lease while the axis is at "
+                "rest. `stop` and `disarm` are open to everybody.",
+            )
+        self.holder = client
+
+    def take(self, client: str, *, at_rest: bool) -> None:
+        """Let a client command in place of the holder.
+
+        Raises
+        ------
+        Refused
+            If another client holds the lease and the axis is not at rest.
+        """
+        if self.holder not in {None, client} and not at_rest:
+            raise Refused("busy", f"the axis moves as {self.holder} has commanded: `stop` it first.")
+        self.holder = client
+
+    def release(self, client: str) -> bool:
+        """Take a client's lease back; return whether it held one."""
+        if self.holder != client:
+            return False
+        self.holder = None
+        return True

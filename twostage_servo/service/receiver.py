@@ -1,0 +1,113 @@
+"""What the drive sends, frame by frame, taken to the axis; what can't be used is counted by its reason."""
+
+from typing import TYPE_CHECKING
+
+import can
+import structlog
+
+from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.state import DRIVEN
+from twostage_servo.canbus.profile import DriveProfile, FrameRejected
+from twostage_servo.ticks import Tick
+
+if TYPE_CHECKING:
+    from twostage_servo.axis.axis import Axis
+    from twostage_servo.canbus.link import Link
+
+_PATIENCE = 1.02
+"""Periods without a command after which the drive may have reported by itself."""
+
+
+class Receiver:
+    """Takes frames to an axis.
+
+    Parameters
+    ----------
+    profile
+        How the drive's frames are packed.
+    link
+        Where they came from: it knows their age and counts what is rejected.
+    period_s
+        Length of a tick in s.
+    dated
+        Whether the drive samples at a rhythm of its own, so that a frame's age dates its sample.
+
+    Attributes
+    ----------
+    sample_age_s
+        How long before the present tick's deadline the drive took the command that it answers, in s; None before the
+        first command.
+    drive_state
+        The state that the drive's heartbeat reports; None before the first one.
+    """
+
+    def __init__(self, profile: DriveProfile, link: "Link", period_s: float, *, dated: bool) -> None:
+        self._profile = profile
+        self._link = link
+        self._dated = dated
+        self.sample_age_s: float | None = None
+        self._lateness_s = 0.0
+        self._period_s = period_s
+        self._late = False
+        self.drive_state: int | None = None
+        self._log = structlog.get_logger().bind(room="receiver")
+
+    def begin_tick(self, tick: Tick, sent_s: float | None) -> None:
+        """Open a tick; the last command left at `sent_s` on the loop's clock, or None if there was none.
+
+        A command that left late was answered late. If more than a period has passed since, a drive that is used to one
+        command a period has reported by itself as well, behind its answer.
+        """
+        self.sample_age_s = None if sent_s is None else tick.deadline_s - sent_s
+        self._lateness_s = tick.lateness_s
+        self._late = sent_s is not None and tick.deadline_s + tick.lateness_s - sent_s > _PATIENCE * self._period_s
+
+    def take(self, message: can.Message, axis: "Axis") -> None:
+        """Take one frame; a command to the drive that is not ours is a second controller."""
+        profile = self._profile
+        try:
+            if profile.is_feedback(message):
+                self._take_feedback(message, axis)
+            elif profile.is_heartbeat(message):
+                heartbeat = profile.decode_heartbeat(message)
+                self.drive_state = heartbeat.state
+                axis.take_heartbeat(heartbeat.boot_counter)
+            elif profile.is_index(message):
+                axis.drive.take_index(profile.decode_index(message).position)
+            else:
+                axis.notice_foreign_command(f"0x{message.arbitration_id:X} [{message.data.hex(' ')}]")
+        except FrameRejected as rejection:
+            self._link.counters.count_rejection(rejection.reason)
+            if profile.is_feedback(message):
+                axis.drive.monitor.reject()
+            self._log.debug("frame rejected", reason=rejection.reason, text=rejection)
+
+    def forget(self) -> None:
+        """Start afresh, as after the bus was lost."""
+        self.drive_state = None
+
+    def _take_feedback(self, message: can.Message, axis: "Axis") -> None:
+        feedback = self._profile.decode_feedback(message)
+        faulty = (
+            feedback.fault
+            or (feedback.fault is None and feedback.fault_code)
+            or (feedback.command_timeout and axis.state in DRIVEN)
+        )
+        axis.take_feedback(
+            Feedback(
+                feedback.position,
+                feedback.counter,
+                feedback.enabled,
+                (feedback.fault_code or 0) if faulty else None,
+                feedback.safe_torque_off,
+                feedback.positive_limit,
+                feedback.negative_limit,
+                feedback.home_switch,
+                self._dated_age_s(message) if self._dated else self.sample_age_s,
+                unasked=self._late and not self._dated,
+            )
+        )
+
+    def _dated_age_s(self, message: can.Message) -> float | None:
+        age_s = self._link.age_s(message)
+        return None if age_s is None else age_s - self._lateness_s
