@@ -1,6 +1,7 @@
 """One axis: what an operator may ask of it; what it does then, tick by tick, is in the module ``machine``."""
 
 import itertools
+import math
 from typing import Literal
 
 from twostage_servo.axis.admission import say_tripped
@@ -101,7 +102,7 @@ class Axis(Machine):
         target = position + _FAR_S * velocity
         if self.referenced:
             target = limits.position_maximum if velocity > 0.0 else limits.position_minimum
-            if (target - position) * velocity <= 0.0:
+            if math.copysign(1.0, velocity) * (target - position) <= self.settings.window.position:
                 raise Refused("position_limit", f"the axis stands at its limit of {target:g} {self.settings.unit}.")
         self._end_move("replaced")
         self._set_target(target, abs(velocity))

@@ -59,6 +59,7 @@ class Motion:
         self._limits = design.settings.limits
         self._tracking = False
         self._missed = 0
+        self._samples_tracked = 0
         self._tracked: float | None = None  # the last sample, if it is a tick old
         self._speed_of_late = 0.0
         self._effort = 0.0  # what acts, also while the law does not run
@@ -129,15 +130,17 @@ class Motion:
             self._tracking = self.blind = False
         elif position is None:
             observer.predict(effort)
-        elif self._tracking and abs(position - observer.position) <= self.innovation_limit:
-            observer.update(position, effort)
-        else:
-            # An axis that moves when it is first seen, or is knocked: two samples say how fast.
+        elif not self._tracking:
             observer.reset(position)
-            if self._tracking and self._tracked is not None:
-                observer.velocity = (position - self._tracked) / self._period_s
-                observer.position += position - self._tracked
-            self._tracking = True
+            self._tracking, self._samples_tracked = True, 1
+        elif self._tracked is not None and (
+            self._samples_tracked == 1 or abs(position - observer.position) > self.innovation_limit
+        ):
+            # An axis that moves when it is first seen, or is knocked: two samples say how fast.
+            observer.start_moving(self._tracked, position)
+            self._samples_tracked += 1
+        else:
+            observer.update(position, effort)
         self._tracked = position
 
     def distrust(self) -> None:

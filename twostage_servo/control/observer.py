@@ -132,6 +132,15 @@ class DisturbanceObserver:
         self.disturbance = 0.0
         self.innovation = 0.0
 
+    def start_moving(self, before: float, sample: float) -> None:
+        """Start afresh from two samples (axis unit) a period apart, undisturbed and without effort, at their speed.
+
+        With ``v0 = (y1 - y0) / a12`` the model gives position and velocity a period after the second one.
+        """
+        velocity = self._a22 * (sample - before) / self._a12
+        self.reset(sample + self._a12 * velocity)
+        self.velocity = self._a22 * velocity
+
     def update(self, sample: float, effort: float) -> None:
         """Take ``y(k-1)`` in axis unit and ``u(k-1)`` in effort unit, and advance the estimate to tick k."""
         position, velocity, disturbance = self.position, self.velocity, self.disturbance
