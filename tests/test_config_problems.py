@@ -186,7 +186,7 @@ SYNTAX = [
         "not TOML at column 20: Expected \"'''\" (the file ends too early)",
         "^",
     ),
-    ("900.0", "9" * 5000, "holds a value that cannot be read", "4300"),
+    ("900.0", "9" * 5000 + " # <--", "holds a value that cannot be read", "4300"),
     ("900.0", "[" * 5000, "nested too deeply", "three levels"),
 ]
 

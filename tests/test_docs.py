@@ -106,7 +106,12 @@ def test_every_refusal_is_in_the_page_on_the_control_socket() -> None:
     raised |= {
         code for path in arming for code in re.findall(r'return \(?\s*"(\w+)",\s', path.read_text(encoding="utf-8"))
     }
-    raised |= {"heartbeat_lost", "feedback_errors"}  # troubles that would trip at once
+    raised |= {
+        "heartbeat_lost",
+        "feedback_errors",
+        "drive_fault",
+        "safe_torque_off",
+    }  # troubles that would trip at once
     assert raised <= documented
     assert documented <= raised, "documented, but never raised"
 

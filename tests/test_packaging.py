@@ -22,7 +22,15 @@ MAY_IMPORT = {
     "canbus": {"control"},
     "simulation": {"canbus", "control"},
     "service": {"axis", "canbus", "control", "config"},
-    "faults": {"axis", "canbus", "control", "simulation", "service", "config"},
+    "faults": {
+        "axis",
+        "canbus",
+        "control",
+        "simulation",
+        "service",
+        "config",
+        "cli",
+    },  # its children are whole programs
     "paper": {"control"},
     "cli": {"axis", "canbus", "control", "simulation", "service", "config", "faults", "paper"},
     # config only composes the rooms' settings; it may take nothing else from them (see below).

@@ -37,10 +37,10 @@ def fault_matrix() -> str:
     from twostage_servo.faults.runner import run_campaign  # noqa: PLC0415
 
     def report(_: object, done: int, total: int) -> None:
-        print(f"\r{done} of {total} cells", end="", flush=True)
+        if done % 25 == 0 or done == total:
+            print(f"{done} of {total} cells", flush=True)
 
     cells = run_campaign(None, (), _SEED, report=report)
-    print()
     if missed := [describe(cell, "mm") for cell in cells if not cell.met]:
         sys.exit("\n".join(["missed:", *missed]))
     return as_markdown(cells)

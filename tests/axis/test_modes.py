@@ -302,10 +302,10 @@ def test_pushed_by_hand_while_disarmed_it_arms_where_it_is_without_a_jump() -> N
 @pytest.mark.parametrize("velocity", [30.0, 150.0, -240.0])
 def test_an_axis_that_moves_when_it_is_first_seen_is_tracked_at_its_speed(velocity: float) -> None:
     rig = AxisRig(velocity=velocity).seconds(0.15)
-    assert rig.axis.law.observer.velocity == pytest.approx(rig.velocity, rel=0.15, abs=5.0)
+    assert rig.axis.law.observer.velocity == pytest.approx(rig.velocity, rel=0.15, abs=7.0)
     rig.seconds(0.2)
-    assert rig.axis.law.observer.velocity == pytest.approx(rig.velocity, abs=1.0)
-    assert rig.axis.law.observer.position == pytest.approx(rig.position, abs=0.2)
+    assert rig.axis.law.observer.velocity == pytest.approx(rig.velocity, abs=2.5)
+    assert rig.axis.law.observer.position == pytest.approx(rig.position, abs=0.3)
 
 
 @settings(max_examples=20, deadline=None)

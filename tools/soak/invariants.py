@@ -7,6 +7,7 @@ from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.state import DRIVEN, State
 
+
 class BrokenInvariantError(AssertionError):
     """What did not hold, with its numbers."""
 

@@ -79,7 +79,7 @@ def main() -> int:
         futures = [pool.submit(episode, options.kind, options.first_seed + number, length_s) for number in range(count)]
         for future in concurrent.futures.as_completed(futures):
             results.append(future.result())
-            if not options.json:
+            if not options.json and sys.stdout.isatty():
                 done_h = sum(r["simulated_s"] for r in results) / 3600.0
                 broken = sum(r["broken"] is not None for r in results)
                 print(f"\r{len(results)} of {count} episodes, {done_h:.1f} h, {broken} broken", end="", flush=True)

@@ -4,28 +4,22 @@ Each bench has a folder and a port to itself, and leaves neither a process nor a
 """
 
 import json
-import os
 import select
-import signal
 import socket
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 from twostage_servo.canbus.link import BusSettings, LinkError
 from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.config import Config, LoadedConfig, load
+from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import Listener, Operator, Snapshot
 from twostage_servo.service.assembly import compile_profile
-
-LONGEST_S = 60.0
-"""Ends a wait for something that never comes; nothing is measured against it."""
 
 _GLANCE_S = 0.005
 """Pause between two looks at what has come."""
@@ -35,81 +29,6 @@ _REST_S = 0.2
 
 class BenchError(Exception):
     """The processes did not come so far that a fault could be injected."""
-
-
-class Child:
-    """A running verb, in a process group of its own; what it prints is kept in the bench's folder.
-
-    Parameters
-    ----------
-    folder, name
-        Where that is kept, and under which name.
-    command
-        The module to run, and its arguments.
-    environment
-        What is added to the environment.
-    """
-
-    def __init__(
-        self, folder: Path, name: str, command: Sequence[str], environment: Mapping[str, str] | None = None
-    ) -> None:
-        self.name = name
-        self._out, self._log = folder / f"{name}.out", folder / f"{name}.log"
-        module, *arguments = command
-        inherited = {key: value for key, value in os.environ.items() if key not in _NOT_INHERITED}
-        # This very package, and no file of the working directory that is called like a module.
-        package = str(Path(__file__).parents[2])
-        inherited["PYTHONPATH"] = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
-        with self._out.open("wb") as out, self._log.open("wb") as log:
-            self.process = subprocess.Popen(  # noqa: S603 - this package itself
-                [sys.executable, "-P", "-m", f"{__package__}.{module}", str(os.getpid()), *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=out,
-                stderr=log,
-                env=inherited | {"OPENBLAS_NUM_THREADS": "1"} | dict(environment or {}),
-                start_new_session=True,
-            )
-
-    @property
-    def ended(self) -> bool:
-        """Whether the process has ended."""
-        return self.process.poll() is not None
-
-    def log(self) -> str:
-        """Return what it has logged."""
-        return self._log.read_text(encoding="utf-8", errors="replace")
-
-    def send(self, number: signal.Signals) -> None:
-        """Send a signal to the process."""
-        self.process.send_signal(number)
-
-    def end(self, number: signal.Signals) -> int:
-        """Send a signal and wait for the end; return the exit code, which is that of SIGKILL if it took too long."""
-        self.send(number)
-        try:
-            return self.process.wait(LONGEST_S)
-        except subprocess.TimeoutExpired:
-            self.kill()
-            return self.process.wait()
-
-    def printed(self) -> dict[str, Any]:
-        """Return the JSON object that it has printed, empty if there is none."""
-        lines = self._out.read_text(encoding="utf-8").splitlines()
-        result: dict[str, Any] = json.loads(lines[-1]) if lines else {}
-        return result
-
-    def kill(self) -> None:
-        """End the process and whatever it has started."""
-        try:
-            os.killpg(self.process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            pass
-        finally:
-            self.process.wait()
-
-
-_NOT_INHERITED = frozenset({"NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM"})
-"""Between the service manager and the campaign's own process."""
 
 
 class Bench:
@@ -183,6 +102,8 @@ class Bench:
         self.service = self._start("run", f"service-{self._services}", self._environment(self.folder))
 
         def connect() -> bool:
+            if self.service.has_ended:
+                raise BenchError(f"the service has ended:\n{self.service.log()[-1000:]}")
             try:
                 self.operator = Operator(self.socket)
             except OSError:
@@ -259,7 +180,7 @@ class Bench:
         return max(1e-3 * config.axis.cruise_velocity * _REST_S, 1.5 * step)
 
     def _check(self, end_s: float, what: str) -> None:
-        if self.drive.ended:
+        if self.drive.has_ended:
             raise BenchError(f"the drive has ended, in the wait for {what}:\n{self.drive.log()[-1000:]}")
         if time.monotonic() > end_s:
             raise BenchError(f"waited {LONGEST_S:g} s in vain for {what}")
@@ -280,9 +201,7 @@ class Bench:
         path = self._path or shipped_configuration("demo.toml")
         options = [argument for override in self._overrides for argument in ("--set", override)]
         command = ["child", verb, "--config", str(path), *options, "--json"]
-        child = Child(self.folder, name, command, environment)
-        self._stack.callback(child.kill)
-        return child
+        return Child(self._stack, self.folder, name, command, environment)
 
 
 def bench_overrides(config: Config, port: int, folder: Path) -> list[str]:

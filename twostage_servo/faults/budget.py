@@ -83,6 +83,10 @@ class Budget:
         self._pole = design.settings.plant.pole
         self._gain = abs(design.settings.plant.gain)
 
+    def innovation(self, speed: float) -> float:
+        """Return how far a sample may lie from its prediction at a speed in axis unit/s."""
+        return self.limits.innovation + 1e-3 * self.limits.innovation_time_ms * speed
+
     # What is tolerated -----------------------------------------------------------------------------------------------
 
     def unnoticed(self) -> float:
@@ -91,7 +95,7 @@ class Budget:
 
     def bridged(self) -> float:
         """Return what ticks without a sample cost: an estimate off by more than the innovation limit would trip."""
-        return self.limits.innovation + self.unnoticed()
+        return self.innovation(self.reference.peak_speed(0.0)) + self.unnoticed()
 
     def followed(self) -> float:
         """Return what the law has to work off: the following error that is allowed at the move's speed."""
@@ -135,7 +139,7 @@ class Budget:
         is missing. The effort may drive the axis by so much faster meanwhile.
         """
         speed = self.reference.peak_speed(0.0)
-        if speed * self.tick_s > self.limits.innovation:
+        if speed * self.tick_s > self.innovation(speed):
             return self.implausible()
         missing = self.reference.to_go if self.reference.closing else self.design.settings.cruise_velocity
         ticks = max(
@@ -146,8 +150,13 @@ class Budget:
         return self.quick_stop(noticed_s, added)
 
     def wrong_encoder(self) -> float:
-        """Return what a wrong sign or scale costs: it is noticed within ten times the innovation limit."""
-        return 10.0 * self.limits.innovation + self.quick_stop(self.noticing_s(IMPLAUSIBLE_SAMPLES))
+        """Return what a reversed sign costs: it is noticed within ten times the innovation limit at that speed."""
+        allowed = 10.0 * self.innovation(self.design.settings.cruise_velocity)
+        return allowed + self.quick_stop(self.noticing_s(IMPLAUSIBLE_SAMPLES))
+
+    def doubled_scale(self) -> float:
+        """Return what an encoder costs that counts twice: the axis goes half as far as it seems until it is noticed."""
+        return 0.5 * self.reference.remaining() + self.wrong_encoder()
 
     def runaway(self, noticed_s: float) -> float:
         """Return the move's own way, then what the following error allows, then until a braking counts as failed."""

@@ -200,6 +200,7 @@ class _Script:
                 world.start, world.target = world.target, world.start  # the next move goes back
             fault_s, self._states_before = world.now_s, len(world.samples)
             self._begun_s, self._place = fault_s, world.place()
+            world.fault_place = self._place
             self._to_go = abs(world.target - self._place)
             if self._inject:
                 self._fault.inject(world, self._sizes)
@@ -301,6 +302,7 @@ class _Script:
         """Move, if the axis can; from here on the travel counts."""
         if world.axis.trip is None and not world.service.is_ending:
             self._begun_s, self._place = world.now_s, world.place()
+            world.fault_place = self._place
             try:
                 world.axis.move_to(world.target, world.velocity)
             except Refused as refused:

@@ -1,9 +1,10 @@
 """What has to be true after a fault, beside reaction and travel; each check returns what is wrong, or None."""
 
+import itertools
 from collections.abc import Callable
 
 from twostage_servo.axis.messages import Refused
-from twostage_servo.axis.state import State
+from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.faults.world import World
 
 Check = Callable[[World], str | None]
@@ -44,6 +45,17 @@ def needs_homing(world: World) -> str | None:
     if world.axis.trip is None:
         return None
     return "the axis still trusts its position" if world.axis.referenced else None
+
+
+def noticed_early(world: World) -> str | None:
+    """Check that the trip came before the axis had gone ten times the innovation limit: 5 mm with 0.5 mm."""
+    latched = {state.value for state in LATCHED}
+    allowed = 10.0 * world.axis.settings.limits.innovation
+    tripped = list(itertools.takewhile(lambda sample: sample.state in latched, reversed(world.samples)))
+    if not tripped:
+        return None
+    distance = abs(tripped[-1].position - world.fault_place)
+    return None if distance <= allowed else f"it was noticed after {distance:.3g}, {allowed:.3g} is allowed"
 
 
 def within_jam_effort(world: World) -> str | None:

@@ -1,6 +1,7 @@
 """What parties outside the service see of it: its drive's frames on the bus, and its snapshots."""
 
 import contextlib
+import itertools
 import json
 import socket
 from collections import deque
@@ -98,7 +99,7 @@ class Listener:
         """Return the longest silence of the drive, or of the service, between two times."""
         frames = self.orders if of_orders else self.reports
         times = [frame.time_s for frame in frames if begin_s <= frame.time_s <= end_s]
-        return max((later - earlier for earlier, later in zip(times, times[1:], strict=False)), default=0.0)
+        return max((later - earlier for earlier, later in itertools.pairwise(times)), default=0.0)
 
     def _roll_out(self, counted: float) -> float:
         period = self._profile.position_period
@@ -111,7 +112,7 @@ _FEWEST = 5
 """Reports that show a standstill, at the least."""
 
 
-class Refusal(Exception):
+class RefusalError(Exception):
     """The service refused what the operator asked for."""
 
 
@@ -155,7 +156,7 @@ class Operator:
 
     def close(self) -> None:
         """Give the lease back, as everyone does who leaves on purpose, and leave."""
-        with contextlib.suppress(OSError, Refusal):
+        with contextlib.suppress(OSError, RefusalError):
             self._socket.settimeout(_PARTING_S)
             self.ask(op="release")
         self._socket.close()
@@ -165,7 +166,7 @@ class Operator:
 
         Raises
         ------
-        Refusal
+        RefusalError
             If it is refused.
         OSError
             If the service is gone.
@@ -179,7 +180,7 @@ class Operator:
                 else:
                     answer = line
         if not answer["ok"]:
-            raise Refusal(f"{answer['error']['code']}: {answer['error']['message']}")
+            raise RefusalError(f"{answer['error']['code']}: {answer['error']['message']}")
         return answer
 
     def take(self) -> bool:

@@ -1,4 +1,4 @@
-"""Cuts the power of a process that writes trip files, again and again, and looks at what is on the disk afterwards.
+"""Cuts the power of a process that writes trip files, again and again, and looks at the files after each time.
 
 ``python -m twostage_servo.faults.power_cut PARENT FOLDER SEED CUTS``, with the process id of the parent. A process that
 is killed stands for the power cut. What the disk itself may lose is beyond this: against that stands the ``fsync``.
@@ -79,12 +79,17 @@ def cut(folder: Path, delay_s: float) -> bool:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Cut the power so many times; return an exit code."""
-    parent, folder, seed, cuts = arguments
+    """Cut the power so many times, and print what was damaged; return an exit code."""
+    parent, name, seed, cuts = arguments
     die_with(int(parent))
-    random = Random(int(seed))  # noqa: S311 - moments, no secrets
-    writing = [cut(Path(folder), random.uniform(0.0, _LONGEST_S)) for _ in range(int(cuts))]
-    return 0 if all(writing) else 1
+    folder, random = Path(name), Random(int(seed))  # noqa: S311 - moments, no secrets
+    found: list[str] = []
+    for number in range(1, int(cuts) + 1):
+        if not cut(folder, random.uniform(0.0, _LONGEST_S)):
+            found.append(f"cut {number}: the writing had ended by itself")
+        found += [f"cut {number}: {problem}" for problem in damaged(folder)]
+    sys.stdout.write(json.dumps({"cuts": int(cuts), "damaged": found}) + "\n")
+    return 0
 
 
 if __name__ == "__main__":

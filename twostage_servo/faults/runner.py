@@ -12,9 +12,6 @@ from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.table import TABLE, Phase
 from twostage_servo.service.log import open_log
 
-PROCESS_FAULTS = (37, 38, 39, 42, 54)
-"""Faults that need real processes, in real time."""
-
 CONFIGURATION_FAULTS = (47, 48)
 
 Report = Callable[[Cell, int, int], None]

@@ -18,6 +18,7 @@ from twostage_servo.faults.checks import (
     expected_after_the_holder,
     log_dropped,
     needs_homing,
+    noticed_early,
     only_off_the_switch,
     refused_all,
     rejected_some,
@@ -37,6 +38,9 @@ class Phase(enum.StrEnum):
     SETTLING = "settling"
     HOLDING = "holding"
 
+
+PROCESS_FAULTS = (37, 38, 39, 42, 54)
+"""Faults that need real processes, in real time."""
 
 MOVING = (Phase.ACCELERATING, Phase.CRUISING, Phase.CHANGEOVER, Phase.SETTLING)
 ARMED = (*MOVING, Phase.HOLDING)
@@ -209,8 +213,8 @@ TABLE: tuple[Fault, ...] = (
     Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
           again=True),
     Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
-          again=True),
-    Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK, again=True),
+          check=noticed_early, again=True),
+    Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True),
     Fault(23, "position invalid", _D.not_a_number, QUICK, _stale),
     Fault(24, "slow drift", _D.drift, TOLERATED, _followed,
           note="cannot be observed with one encoder: the axis follows it"),

@@ -1,4 +1,4 @@
-"""The service manager's part of ``sd_notify(3)``: hears what a service says of itself, and notices when it falls silent."""
+"""The service manager's part of ``sd_notify(3)``: it hears what a service says of itself, or that it falls silent."""
 
 import contextlib
 import socket

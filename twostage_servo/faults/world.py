@@ -76,6 +76,8 @@ class World:
         The move that is under way or next, in axis unit and axis unit/s.
     roll_over_in
         How far ahead the encoder shall roll over, in axis unit.
+    fault_place
+        Where the axis was when the fault, or the last move after it, began, in axis unit.
     refusals
         Answers to what clients have asked: the code of each refusal, None for what was carried out.
     log
@@ -99,6 +101,7 @@ class World:
         self.serving: asyncio.Task[None] | None = None
         self.start = self.target = self.velocity = 0.0
         self.roll_over_in = 0.0
+        self.fault_place = 0.0
         self.refusals: list[str | None] = []
         self.log: LogWriter | None = None
         self.log_released = threading.Event()
