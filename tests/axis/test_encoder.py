@@ -82,7 +82,6 @@ def test_a_counter_that_ends_anywhere_changes_nothing(period: float, direction: 
     assert rolling.axis.drive.position == pytest.approx(0.0, abs=0.05)
 
 
-@pytest.mark.xfail(strict=True, reason="the roll-over is counted from the last raw count, a spike included")
 def test_one_flipped_top_bit_is_a_spike_like_any_other() -> None:
     """It lies half a range away: by the way back the counter must not have gained a whole range."""
     rig = rig_of(period=COUNTER)
@@ -95,7 +94,6 @@ def test_one_flipped_top_bit_is_a_spike_like_any_other() -> None:
     assert rig.axis.trip is None
 
 
-@pytest.mark.xfail(strict=True, reason="the same while disarmed: the position is off by a range, and nothing says so")
 def test_one_flipped_top_bit_while_disarmed_does_not_move_the_origin() -> None:
     rig = rig_of(period=COUNTER)
     rig.sees = counting(COUNTER)
@@ -147,10 +145,7 @@ def test_a_whole_move_with_samples_of_any_age_trips_nothing(ages: list[float], v
     assert worst < 0.5
 
 
-DIVERGES = pytest.mark.xfail(strict=True, reason="a sample dated by a wrong speed makes the next speed more wrong")
-
-
-@pytest.mark.parametrize("age_ms", [pytest.param(age, marks=DIVERGES) for age in (0.5, 2.0, 4.0, 6.0)] + [9.0])
+@pytest.mark.parametrize("age_ms", [0.5, 2.0, 4.0, 6.0, 9.0])
 def test_knocked_while_disarmed_the_speed_is_soon_known_again(age_ms: float) -> None:
     """Moved by 50 mm within a tick: the speeds estimated must die down, whatever the age of the samples."""
     rig = cyclic([1e-3 * age_ms]).seconds(0.1)
@@ -187,7 +182,6 @@ def test_one_frame_in_five_lost_is_bridged_for_good() -> None:
     assert rig.position == pytest.approx(400.0, abs=0.05)
 
 
-@pytest.mark.xfail(strict=True, reason="a rejected frame is counted again as lost by the next one's counter")
 def test_a_rejected_frame_is_one_error() -> None:
     monitor = FeedbackMonitor(16)
     for counter in range(10):
@@ -199,7 +193,6 @@ def test_a_rejected_frame_is_one_error() -> None:
     assert monitor.recent_errors == 1
 
 
-@pytest.mark.xfail(strict=True, reason="a frame without a position is dropped with all that it says of the drive")
 def test_a_fault_is_heard_from_a_drive_that_has_lost_its_encoder() -> None:
     report = DriveReport(axis_settings(), PERIOD_S, 16)
     report.begin_tick(0)
@@ -229,7 +222,6 @@ def test_an_encoder_that_freezes_in_mid_move_is_noticed_within_20_mm(velocity: f
     assert abs(rig.position - at) < 20.0
 
 
-@pytest.mark.xfail(strict=True, reason="the estimated speed follows the effort, so it never counts as standing still")
 def test_an_axis_held_fast_is_jammed_though_its_encoder_trembles() -> None:
     """By 4 of its steps, as on an elastic coupling: hardly any motion, much effort; the force has to stay small."""
     rig = rig_of().armed()
@@ -242,7 +234,6 @@ def test_an_axis_held_fast_is_jammed_though_its_encoder_trembles() -> None:
     assert max(abs(command.effort) for command in rig.commands) < 12.0
 
 
-@pytest.mark.xfail(strict=True, reason="a jam is judged by how long the axis has held, not by how long the effort acts")
 @pytest.mark.parametrize("velocity", [50.0, 100.0, 250.0])
 def test_the_quick_example_sets_out_after_a_rest(velocity: float) -> None:
     """Example 2's first effort is 6 V in a tick; the encoder can't show it before the next sample."""
@@ -255,7 +246,6 @@ def test_the_quick_example_sets_out_after_a_rest(velocity: float) -> None:
     assert rig.axis.trip is None
 
 
-@pytest.mark.xfail(strict=True, reason="the same with a coarse encoder")
 @pytest.mark.parametrize("step", [0.05, 0.1])
 def test_a_coarse_encoder_sets_out_after_a_rest(step: float) -> None:
     rig = AxisRig(Axis(DESIGN, 16, resolution=step))
@@ -269,7 +259,6 @@ def test_a_coarse_encoder_sets_out_after_a_rest(step: float) -> None:
 # Switches ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.xfail(strict=True, reason="below the speed that counts as rest, 2.5 mm/s, a limit switch stops nothing")
 @pytest.mark.parametrize("velocity", [0.5, 2.0])
 def test_a_limit_switch_stops_slow_motion_as_well(velocity: float) -> None:
     rig = rig_of().armed()

@@ -228,17 +228,22 @@ def test_a_child_keeps_what_it_printed_and_can_be_ended_twice(tmp_path: Path) ->
 
 
 def test_a_child_whose_start_is_interrupted_is_ended(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """The process is there already when the interruption comes."""
-    start = subprocess.Popen.__init__
+    """The process is there already when the interruption comes, but nobody has been told of it."""
+    create = vars(subprocess)["_fork_exec"]
 
-    def interrupted(*arguments: Any, **options: Any) -> None:
-        start(*arguments, **options)
-        raise KeyboardInterrupt
+    def interrupted(*arguments: Any) -> Any:
+        process = create(*arguments)
+        signal.raise_signal(signal.SIGINT)
+        return process
 
-    monkeypatch.setattr(subprocess.Popen, "__init__", interrupted)
-    with pytest.raises(KeyboardInterrupt), contextlib.ExitStack() as stack:
-        Child(stack, tmp_path, "cut", ["power_cut", str(tmp_path / "trips"), "1", "1000000"])
-    wait_until(lambda: not processes_in(tmp_path))
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        monkeypatch.setattr(subprocess, "_fork_exec", interrupted)
+        with pytest.raises(KeyboardInterrupt), contextlib.ExitStack() as stack:
+            Child(stack, tmp_path, "cut", ["power_cut", str(tmp_path / "trips"), "1", "1000000"])
+        wait_until(lambda: not processes_in(tmp_path))
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 # The power cut --------------------------------------------------------------------------------------------------------
@@ -441,10 +446,12 @@ def test_a_phase_begins_and_passes() -> None:
 def test_a_cell_that_is_missed_on_a_late_machine_is_run_again(monkeypatch: pytest.MonkeyPatch) -> None:
     good = Cell(38, "x", "cruising", "Z", "Z", "SIGKILL", 1.0, 2.0)
     bad = Cell(38, "x", "cruising", "Z", "Z", "SIGKILL", 3.0, 2.0)
+    no_port = (bench.BenchError("no port"), True)
     for results, verdict in (
-        ([(bad, True), (bench.BenchError("no port"), True), (good, True)], good),
+        ([(bad, True), no_port, (good, True)], good),
         ([(bad, False), (good, False)], bad),
         ([(bad, True)] * 6 + [(good, True)], bad),
+        ([no_port] * 4 + [(good, False)], None),
     ):
         left = iter(results)
 
@@ -455,4 +462,8 @@ def test_a_cell_that_is_missed_on_a_late_machine_is_run_again(monkeypatch: pytes
             return result, held_up
 
         monkeypatch.setattr(HostedRun, "play", play)
-        assert run_hosted(38, Phase.CRUISING, None, (), 1) is verdict
+        if verdict is not None:
+            assert run_hosted(38, Phase.CRUISING, None, (), 1) is verdict
+            continue
+        with pytest.raises(NotOperableError, match="fault 38, cruising: no port"):
+            run_hosted(38, Phase.CRUISING, None, (), 1)

@@ -152,7 +152,8 @@ class Axis(Machine):
         self._admission.check_state(self.state, event, self.trip)
         before = self.state
         self._apply(event)
-        if self.state is not State.HOLDING and self.state is not before:
+        harder = quick and before is State.DISARMING
+        if harder or (self.state is not State.HOLDING and self.state is not before):
             limits = self.settings.limits
             self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
 

@@ -84,8 +84,12 @@ class AxisDesign:
         return swing / limits.effort_rate
 
     def attainable(self, deceleration: float) -> float:
-        """Return the part of a deceleration (axis unit/s²) that the effort limit allows, friction left aside."""
-        return min(deceleration, abs(self.settings.plant.gain) * self.settings.limits.effort)
+        """Return the part of a deceleration (axis unit/s²) that limit and rate of the effort allow.
+
+        Friction helps less and less as the axis slows down, and the effort has to take over at its rate.
+        """
+        plant, limits = self.settings.plant, self.settings.limits
+        return min(deceleration, abs(plant.gain) * limits.effort, abs(plant.gain) * limits.effort_rate / plant.pole)
 
     def stopping_distance(self, velocity: float, deceleration: float) -> float:
         """Return how far the axis travels in a stop, in axis unit, not negative.

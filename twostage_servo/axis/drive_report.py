@@ -66,8 +66,8 @@ class DriveReport:
         self._settings = settings
         self._period_ms = 1e3 * period_s
         self._position_period = position_period
-        self._counted: float | None = None  # what the encoder said last
-        self._origin = 0.0  # axis position where the encoder counts 0, roll-overs included
+        self._near: float | None = None  # where the axis is taken to be, to choose among the encoder's rounds
+        self._origin = 0.0  # axis position where the encoder counts 0
         self._boot_counter: int | None = None
         self._ticks_since_heartbeat: int | None = None
         self._ticks_since_foreign: int | None = None
@@ -75,9 +75,15 @@ class DriveReport:
         self._heartbeat_ticks = math.ceil(settings.limits.heartbeat_ms / self._period_ms)
         self._foreign_ticks = math.ceil(settings.arming_timeout_ms / self._period_ms)
 
-    def begin_tick(self, missed: int) -> None:
-        """Let everything known grow older by this tick and those missed before it."""
+    def begin_tick(self, missed: int, expected: float | None = None) -> None:
+        """Let everything known grow older by this tick and those missed before it.
+
+        ``expected`` is where the axis is by its estimate, in axis unit, to which what the encoder counts is rolled out;
+        without one, the last position has to do.
+        """
         self.fresh = False
+        if expected is not None or self.position is not None:
+            self._near = self.position if expected is None else expected
         self.monitor.begin_tick(missed)
         if self._ticks_since_foreign is not None:
             self._ticks_since_foreign += 1 + missed
@@ -90,14 +96,20 @@ class DriveReport:
         """Take one frame's feedback, if it is new; a fault, drop-out or input of an earlier frame of the tick stays."""
         if not math.isfinite(feedback.position):
             self.monitor.reject()
+            self._take_state(feedback, again=self.fresh)  # a drive that has lost its encoder may say why
             return
         if not self.monitor.accept(feedback.counter):
             return
         again = self.fresh
         self.fresh = True
-        position = self._roll_out(feedback.position)
+        position = self._rolled_out(feedback.position)
+        if self._near is None:
+            self._near = position
         if not (again and feedback.unasked):
             self.position, self.age_s = position, feedback.age_s
+        self._take_state(feedback, again=again)
+
+    def _take_state(self, feedback: Feedback, *, again: bool) -> None:
         self.enabled = False if again and self.enabled is False else feedback.enabled
         self.fault_code = self.fault_code if again and self.fault_code is not None else feedback.fault_code
         for name in _INPUTS:
@@ -106,7 +118,7 @@ class DriveReport:
     def take_index(self, position: float) -> None:
         """Take the position that the encoder counted at its index mark, in axis unit."""
         if math.isfinite(position):
-            self.index = self._unrolled(position)
+            self.index = self._rolled_out(position)
 
     def take_heartbeat(self, boot_counter: int | None) -> bool:
         """Take a heartbeat; return whether the drive has booted since the last one."""
@@ -134,6 +146,8 @@ class DriveReport:
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         self._origin += distance
+        if self._near is not None:
+            self._near += distance
         if self.position is not None:
             self.position += distance
 
@@ -206,17 +220,9 @@ class DriveReport:
 
     # Roll-over -------------------------------------------------------------------------------------------------------
 
-    def _roll_out(self, counted: float) -> float:
-        """Take what the encoder counts and return the axis' position; a step is at most half a turn of the counter."""
-        period, before = self._position_period, self._counted
-        if period and before is not None:
-            self._origin -= period * round((counted - before) / period)
-        self._counted = counted
-        return counted + self._origin
-
-    def _unrolled(self, counted: float) -> float:
-        """Return the position of an older count, which lies within half a turn of the last."""
-        period = self._position_period
-        if period and self._counted is not None:
-            counted -= period * round((counted - self._counted) / period)
-        return counted + self._origin
+    def _rolled_out(self, counted: float) -> float:
+        """Return the axis' position for what the encoder counts: of all its rounds the one nearest to the estimate."""
+        position, period = counted + self._origin, self._position_period
+        if period and self._near is not None:
+            position += period * round((self._near - position) / period)
+        return position

@@ -27,7 +27,8 @@ class FeedbackMonitor:
     """
 
     __slots__ = (
-        "_counter", "_errors", "_errors_now", "_modulus", "_window", "doubled", "lost", "rejected", "reordered",
+        "_counter", "_errors", "_errors_now", "_modulus", "_rejected_since", "_window", "doubled", "lost",
+        "rejected", "reordered",
         "ticks_since_fresh",
     )  # fmt: skip
 
@@ -39,6 +40,7 @@ class FeedbackMonitor:
         self._window: deque[int] = deque([0] * WINDOW_TICKS, WINDOW_TICKS)
         self._errors = 0
         self._errors_now = 0
+        self._rejected_since = 0
 
     def begin_tick(self, missed: int) -> None:
         """Let the age of the last feedback grow by this tick and those missed before it."""
@@ -72,14 +74,17 @@ class FeedbackMonitor:
                     self._errors_now += 1
                     return False
                 self.lost += step - 1
-                self._errors_now += step - 1
+                # Those that were rejected on the way have been counted as errors already.
+                self._errors_now += max(0, step - 1 - self._rejected_since)
         self._counter = counter
+        self._rejected_since = 0
         self.ticks_since_fresh = 0
         return True
 
     def reject(self) -> None:
         """Count a frame that could not be used: a wrong checksum or length, or a reserved value."""
         self.rejected += 1
+        self._rejected_since += 1
         self._errors_now += 1
 
     def forget(self) -> None:

@@ -6,7 +6,7 @@ from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.homing import Homing, HomingFailed
 from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback, Move
 from twostage_servo.axis.motion import Motion
-from twostage_servo.axis.state import BRAKING, CIA402, DRIVEN, ENABLED, Event, State, next_state
+from twostage_servo.axis.state import BRAKING, CIA402, COMMANDED, DRIVEN, ENABLED, Event, State, next_state
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import EVENTS, RULES, Trip, TripCode
 from twostage_servo.control.two_stage import Stage, TwoStageLaw
@@ -62,6 +62,7 @@ class Machine:
         self.escalation: Trip | None = None
         self.move: Move | None = None
         self._homing: Homing | None = None
+        self._heading = 0.0  # its sign is the direction of the present leg
         self._final_target: float | None = None  # after an approach from the other side
         self._tick = 0
         self._ticks_arming = 0
@@ -80,7 +81,7 @@ class Machine:
     def begin_tick(self, tick: int, missed: int) -> None:
         """Open a tick: its index, and how many were missed just before it."""
         self._tick = tick
-        self.drive.begin_tick(missed)
+        self.drive.begin_tick(missed, self.motion.expected_position(driven=self.state in DRIVEN))
         self.motion.begin_tick(missed)
         self._jog_ticks_left -= 1 + missed
         if self.state in DRIVEN and missed:
@@ -227,11 +228,15 @@ class Machine:
 
     def _check_switch_ahead(self) -> None:
         velocity = self.law.observer.velocity
-        if abs(velocity) > self.design.rest_velocity and (switch := self.drive.blocks(velocity)):
+        moves = abs(velocity) > self.design.rest_velocity
+        switch = self.drive.blocks(velocity) if moves else None
+        if self.state in COMMANDED:  # also one so slow that its speed is none
+            switch = switch or self.drive.blocks(self._heading)
+        if switch:
             self.raise_trip(
                 TripCode.LIMIT_SWITCH,
                 f"the {switch} limit switch is active at {self.law.observer.position:.6g} {self.settings.unit}, and "
-                f"the axis moves towards it at {velocity:.4g} {self.settings.unit}/s",
+                f"the axis moves towards it, at {velocity:.4g} {self.settings.unit}/s",
             )
 
     def _check_window(self) -> None:
@@ -272,6 +277,7 @@ class Machine:
         self.supervision.begin_braking(deceleration)
 
     def _set_target(self, target: float, velocity: float) -> None:
+        self._heading = target - self.law.observer.position
         self.motion.set_target(target, velocity)
         self.supervision.begin_move()
 

@@ -1,6 +1,7 @@
 """The law of an axis with the response that it is designed to have beside it, and the feedback that it may believe."""
 
 import math
+from collections import deque
 
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
@@ -40,9 +41,8 @@ class Motion:
         How far the last of them did, in axis unit.
     model_test
         Whether the plant answers the effort as the model says.
-    unchanged_ticks, unchanged_effort
-        For how many samples the encoder has shown the same position, and by how much the effort (effort unit) has
-        changed meanwhile.
+    unchanged_effort
+        By how much the effort (effort unit) has changed since the encoder last showed another position.
     """
 
     def __init__(self, design: AxisDesign, drive: DriveReport, resolution: float) -> None:
@@ -53,18 +53,20 @@ class Motion:
         self.implausible = 0
         self.implausible_distance = 0.0
         self.model_test = design.build_model_test()
-        self.unchanged_effort, self.unchanged_ticks = 0.0, 0
+        self.unchanged_effort = 0.0
         self._drive = drive
         self._period_s = design.period_s
         self._limits = design.settings.limits
         self._tracking = False
         self._missed = 0
         self._samples_tracked = 0
-        self._tracked: float | None = None  # the last sample, if it is a tick old
+        self._tracked = 0.0  # the last sample while tracking
+        self._outlier: float | None = None  # the one before, if it was not where the model expects it
         self._speed_of_late = 0.0
         self._effort = 0.0  # what acts, also while the law does not run
         self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
         self._resolution = 1.5 * resolution
+        self._recent: deque[float] = deque(maxlen=design.ticks(design.settings.limits.jam_time_ms) + 1)
 
     def start(self) -> None:
         """Hold from here on; the observer has been tracking the axis until now."""
@@ -74,8 +76,9 @@ class Motion:
         self._speed_of_late = 0.0
         self.blind = False
         self.implausible = 0
-        self.unchanged_effort, self.unchanged_ticks = 0.0, 0
+        self.unchanged_effort = 0.0
         self._unchanged = None
+        self._recent.clear()
 
     def set_target(self, target: float, velocity: float) -> None:
         """Take a set-point in axis unit, with a cruise velocity in axis unit/s."""
@@ -93,6 +96,11 @@ class Motion:
         self.nominal.shift(distance)
         self.model_test.shift(distance)
         self._unchanged = None
+        self._recent.clear()
+
+    def expected_position(self, *, driven: bool) -> float | None:
+        """Return where the axis is by the estimate, in axis unit; None while that follows nothing."""
+        return self.law.observer.position if driven or self._tracking else None
 
     def begin_tick(self, missed: int) -> None:
         """Open a tick, before which some were missed."""
@@ -125,7 +133,8 @@ class Motion:
         """Let the observer follow the axis while no effort acts, so that arming starts from its position and speed."""
         observer, effort = self.law.observer, self._effort
         self._effort = 0.0
-        position = self._dated_sample()
+        # Not dated: by the speed, which is what the samples have to tell in the first place.
+        position = self._drive.position if self._drive.fresh else None
         if self._drive.is_stale or self.blind:
             self._tracking = self.blind = False
         elif position is None:
@@ -133,20 +142,30 @@ class Motion:
         elif not self._tracking:
             observer.reset(position)
             self._tracking, self._samples_tracked = True, 1
-        elif self._tracked is not None and (
-            self._samples_tracked == 1 or abs(position - observer.position) > self.innovation_limit
-        ):
-            # An axis that moves when it is first seen, or is knocked: two samples say how fast.
-            observer.start_moving(self._tracked, position)
-            self._samples_tracked += 1
-        else:
+        elif self._samples_tracked > 1 and abs(position - observer.position) <= self.innovation_limit:
             observer.update(position, effort)
-        self._tracked = position
+            self._outlier = None
+        elif self._samples_tracked > 1 and self._outlier is None:
+            observer.predict(effort)  # one is a spike
+            self._outlier = position
+        else:
+            # An axis that moves when it is first seen, or is knocked: two samples say how fast.
+            observer.start_moving(self._tracked if self._outlier is None else self._outlier, position)
+            self._samples_tracked += 1
+            self._outlier = None
+        if position is not None:
+            self._tracked = position
 
     def distrust(self) -> None:
         """Give up the whole estimate: what counts the wrong way says nothing of the speed, so nothing can brake it."""
         self.blind = True
         self.law.observer.reset(self.law.observer.position)
+
+    @property
+    def recent_way(self) -> float:
+        """How far apart the samples of the last jam time lie, in axis unit; infinity while there are not enough."""
+        recent = self._recent
+        return max(recent) - min(recent) if len(recent) == recent.maxlen else math.inf
 
     def lose_track(self) -> None:
         """Start the observer afresh at the next sample: what it holds is not to be built on."""
@@ -174,9 +193,8 @@ class Motion:
     def _compare_with_the_last(self, sample: float) -> None:
         if self._unchanged is None or abs(sample - self._unchanged[0]) > self._resolution:
             self._unchanged = sample, self._effort
-            self.unchanged_ticks = 0
-        self.unchanged_ticks += 1
         self.unchanged_effort = abs(self._effort - self._unchanged[1])
+        self._recent.append(sample)
 
     def _believed_sample(self) -> float | None:
         """Return this tick's sample; None if there is none, or none that lies where the model expects it."""

@@ -75,6 +75,7 @@ TRANSITIONS: MappingProxyType[tuple[State, Event], State] = MappingProxyType(
         (_S.HOLDING, _E.STOP): _S.HOLDING,
         **{(state, _E.STOP): _S.STOPPING for state in (*_COMMANDED, _S.STOPPING)},
         (_S.QUICK_STOPPING, _E.STOP): _S.QUICK_STOPPING,
+        **{(_S.DISARMING, event): _S.DISARMING for event in (_E.STOP, _E.QUICK_STOP)},
         (_S.HOLDING, _E.QUICK_STOP): _S.HOLDING,
         **{(state, _E.QUICK_STOP): _S.QUICK_STOPPING for state in (*_COMMANDED, _S.STOPPING, _S.QUICK_STOPPING)},
         **{(state, _E.DISARM): _S.DISARMED for state in (_S.DISARMED, _S.ARMING, _S.HOLDING)},
@@ -130,6 +131,9 @@ ENABLED = DRIVEN | {_S.ARMING}
 
 MOVING = frozenset({_S.SPEED_STAGE, _S.POSITION_STAGE})
 """States in which a move to a set-point is under way."""
+
+COMMANDED = frozenset(_COMMANDED)
+"""States in which the axis moves because somebody asked for it."""
 
 BRAKING = frozenset({_S.STOPPING, _S.QUICK_STOPPING, _S.DISARMING, _S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP})
 """States in which the axis is being brought to rest."""

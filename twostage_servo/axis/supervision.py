@@ -11,6 +11,8 @@ from twostage_servo.control.two_stage import Stage
 
 Violation = tuple[TripCode, str]
 
+_QUICK = frozenset({State.QUICK_STOPPING, State.TRIPPED_QUICK_STOP})
+
 _BRAKING_PATIENCE = 2.0
 """How many times its designed duration a braking may take."""
 
@@ -31,8 +33,19 @@ class Supervision:
     """
 
     __slots__ = (
-        "_braking_ticks", "_braking_ticks_allowed", "_changeover_time_s", "_design", "_jam_ticks", "_motion",
-        "_saturation_ticks", "_settings", "_speed_of_move", "_ticks_in_window", "_ticks_jammed", "_ticks_saturated",
+        "_braking_ticks",
+        "_braking_ticks_allowed",
+        "_changeover_time_s",
+        "_design", "_effort_before",
+        "_jam_ticks",
+        "_motion",
+        "_saturation_ticks",
+        "_settings",
+        "_speed_of_move",
+        "_ticks_frozen",
+        "_ticks_in_window",
+        "_ticks_jammed",
+        "_ticks_saturated",
         "_window_ticks",
     )  # fmt: skip
 
@@ -49,7 +62,7 @@ class Supervision:
 
     def start(self) -> None:
         """Begin afresh: at arming, and when a stop takes over."""
-        self._ticks_saturated = self._ticks_jammed = 0
+        self._ticks_saturated = self._ticks_jammed = self._ticks_frozen = 0
         self._braking_ticks = 0
         self._braking_ticks_allowed: float = math.inf
         self.forget_move()
@@ -60,8 +73,9 @@ class Supervision:
         self._speed_of_move = 0.0
 
     def begin_move(self) -> None:
-        """Begin to wait for the position window anew."""
+        """Begin to wait for the position window anew, and to compare the effort with that of now."""
         self._ticks_in_window = 0
+        self._effort_before = self._motion.law.effort
 
     def begin_braking(self, deceleration: float) -> None:
         """Begin to wait for the axis to come to rest with a deceleration in axis unit/s²."""
@@ -98,6 +112,8 @@ class Supervision:
             yield from self._innovation()
         if state in BRAKING:
             yield from self._braking()
+            if referenced and not self._motion.blind and state not in _QUICK:  # which could do no better
+                yield from self._position()
             return
         if state is State.HOMING and self._settings.homing.method == "hard_stop":
             return
@@ -148,6 +164,7 @@ class Supervision:
         limits, unit = self._settings.limits, self._settings.unit
         position, velocity = self._motion.law.observer.position, self._motion.law.observer.velocity
         distance = self._design.certain_stopping_distance(velocity, limits.quick_stop_deceleration)
+        distance += abs(velocity) * self._design.period_s  # until the next look
         ahead = math.copysign(distance, velocity)
         lowest, highest = min(position, position + ahead), max(position, position + ahead)
         overrun = limits.position_overrun
@@ -168,8 +185,8 @@ class Supervision:
         limits, law, motion = self._settings.limits, self._motion.law, self._motion
         rest, unit, effort_unit = self._design.rest_velocity, self._settings.unit, self._settings.effort_unit
         stuck = (
-            abs(law.effort) >= limits.jam_effort
-            and abs(law.observer.velocity) <= rest
+            abs(law.effort - self._effort_before) >= limits.jam_effort  # without the load that it held before
+            and motion.recent_way <= rest * self._jam_ticks * self._design.period_s
             and abs(motion.nominal.observer.velocity) > rest
         )
         self._ticks_jammed = self._ticks_jammed + 1 if stuck else 0
@@ -179,10 +196,13 @@ class Supervision:
                 (
                     f"the axis has stood still at {law.observer.position:.6g} {unit} for "
                     f"{limits.jam_time_ms:g} ms though "
-                    f"the effort is {law.effort:.4g} {effort_unit}; axis.limits.jam_effort is {limits.jam_effort:g}"
+                    f"the effort is {law.effort:.4g} {effort_unit}, and was {self._effort_before:.4g} before; "
+                    f"axis.limits.jam_effort is {limits.jam_effort:g}"
                 ),
             )
-        if motion.unchanged_effort >= limits.jam_effort and motion.unchanged_ticks > self._jam_ticks:
+        frozen = motion.unchanged_effort >= limits.jam_effort
+        self._ticks_frozen = self._ticks_frozen + 1 if frozen else 0
+        if self._ticks_frozen >= self._jam_ticks:
             yield (
                 TripCode.JAM,
                 (

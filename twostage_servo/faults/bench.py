@@ -14,8 +14,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from twostage_servo.canbus.link import BusSettings, LinkError
-from twostage_servo.cli.configuration import shipped_configuration
+from twostage_servo.canbus.link import LinkError
 from twostage_servo.config import Config, LoadedConfig, load
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import Listener, Operator, Snapshot
@@ -198,7 +197,7 @@ class Bench:
         self.profile = compile_profile(self.loaded)
 
     def _start(self, verb: str, name: str, environment: Mapping[str, str]) -> Child:
-        path = self._path or shipped_configuration("demo.toml")
+        path = self._path or self.loaded.folder / "demo.toml"  # what None stands for has to be named on a command line
         options = [argument for override in self._overrides for argument in ("--set", override)]
         command = ["child", verb, "--config", str(path), *options, "--json"]
         return Child(self._stack, self.folder, name, command, environment)
@@ -227,16 +226,8 @@ def bench_overrides(config: Config, port: int, folder: Path) -> list[str]:
         "service.trip_folder": json.dumps(str(folder / "trips")),
         "service.log_level": "info",
     }
-    bus = BusSettings(
-        interface="socketcand",
-        channel="can0",
-        options={"host": "127.0.0.1", "port": port},
-        max_frames_per_tick=config.bus.max_frames_per_tick,
-        reopen_interval_ms=100.0,
-    )
     table = (
-        f'bus={{ interface = "{bus.interface}", channel = "{bus.channel}", options = {{ host = "127.0.0.1", '
-        f"port = {port} }}, max_frames_per_tick = {bus.max_frames_per_tick}, "
-        f"reopen_interval_ms = {bus.reopen_interval_ms} }}"
+        f'bus={{ interface = "socketcand", channel = "can0", options = {{ host = "127.0.0.1", port = {port} }}, '
+        f"max_frames_per_tick = {config.bus.max_frames_per_tick}, reopen_interval_ms = 100.0 }}"
     )
     return [table, *(f"{key}={value}" for key, value in widened.items())]

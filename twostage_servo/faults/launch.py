@@ -6,7 +6,8 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -48,7 +49,7 @@ class Child(subprocess.Popen[bytes]):
         # This very package, and no file of the working directory that is called like a module.
         package = str(Path(__file__).parents[2])
         inherited["PYTHONPATH"] = os.pathsep.join(filter(None, (package, os.environ.get("PYTHONPATH"))))
-        with self._printed.open("wb") as printed, self._log.open("wb") as log:
+        with self._printed.open("wb") as printed, self._log.open("wb") as log, _later_interrupted():
             super().__init__(
                 [sys.executable, "-P", "-m", f"{__package__}.{module}", str(os.getpid()), *arguments],
                 stdin=subprocess.DEVNULL,
@@ -92,3 +93,24 @@ class Child(subprocess.Popen[bytes]):
             except ProcessLookupError:  # no group of its own yet
                 os.kill(self.pid, signal.SIGKILL)
         self.wait()
+
+
+@contextlib.contextmanager
+def _later_interrupted() -> Iterator[None]:
+    """Let an interruption from the keyboard wait until a block is done, in which a process would be lost."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGINT) is None:
+        yield
+        return
+    interrupted = False
+
+    def remember(*_: object) -> None:
+        nonlocal interrupted
+        interrupted = True
+
+    before = signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if interrupted:
+            signal.raise_signal(signal.SIGINT)

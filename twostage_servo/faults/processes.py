@@ -25,6 +25,8 @@ POWER_CUTS = 20
 _POWER_CUT_NAME = "power cut while a trip file is written"
 
 _ATTEMPTS = 6
+_TROUBLES = 4
+"""So many runs in which the fault could not even begin are no accident."""
 
 
 class HostedFault(NamedTuple):
@@ -64,16 +66,18 @@ def run_hosted(fault: int, phase: Phase, config: Path | None, overrides: Sequenc
     """
     if fault == POWER_CUT:
         return _cut_power(seed)
-    trouble = ""
+    troubles: list[str] = []
     for attempt in range(_ATTEMPTS):
         try:
             cell, held_up = HostedRun(fault, phase, Random(f"{seed} {phase}")).play(config, overrides)  # noqa: S311
         except (BenchError, RefusalError, OSError) as error:
-            trouble = str(error)
+            troubles.append(str(error))
+            if len(troubles) >= _TROUBLES:
+                break
             continue
         if cell.met or not held_up or attempt == _ATTEMPTS - 1:
             return cell
-    raise NotOperableError(f"fault {fault}, {phase.value}: {trouble}")
+    raise NotOperableError(f"fault {fault}, {phase.value}: {troubles[-1]}")
 
 
 def _cut_power(seed: int) -> Cell:
