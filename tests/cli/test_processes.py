@@ -23,6 +23,8 @@ import pytest
 
 from twostage_servo.canbus.socketcand import SocketcandBus
 
+pytestmark = pytest.mark.processes
+
 COMMAND = (sys.executable, "-c", "from twostage_servo.cli.main import entry_point; entry_point()")
 CONFIG = Path(__file__).parents[2] / "config"
 # These processes run in real time on a machine that may be busy with anything: what is tested is not their punctuality.

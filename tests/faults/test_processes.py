@@ -38,6 +38,8 @@ from twostage_servo.faults.watchdog import Watchdog
 from twostage_servo.service.assembly import compile_profile, design
 from twostage_servo.service.notify import Notifier
 
+pytestmark = pytest.mark.processes
+
 SHARE = [(37, Phase.CRUISING), (38, Phase.CHANGEOVER), (39, Phase.ACCELERATING), (42, Phase.SETTLING), (54, Phase.IDLE)]
 
 

@@ -12,6 +12,7 @@ from twostage_servo.axis.trips import Reaction
 from twostage_servo.config import Config, LoadedConfig
 from twostage_servo.control.two_stage import Stage
 from twostage_servo.faults.budget import Budget, Reference
+from twostage_servo.faults.plan import CRUISE_S, LONG_CRUISE_S, cruise_end, plan_target, settling_begin
 from twostage_servo.faults.table import (
     DISABLED,
     HELD,
@@ -35,8 +36,6 @@ _READY_S = 3.0
 _WAIT_S = 0.3
 """How long a fault has to show before the operator goes on, where the axis is at rest."""
 _AFTER_S = 0.5
-_CRUISE_S, _LONG_CRUISE_S = 1.5, 4.0
-"""How long a move cruises, where the limits leave room for it."""
 
 
 class NotOperableError(Exception):
@@ -194,6 +193,8 @@ class _Script:
             if not await world.until(lambda: world.axis.ready_to_arm, _READY_S):
                 obstacle = world.axis.obstacle_to_arming()
                 raise NotOperableError(f"the axis could not be armed before the fault: {obstacle and obstacle[1]}")
+            if not world.axis.referenced:
+                world.axis.set_position(world.drive.position)
             await self._reach_the_phase(world)
             await world.seconds(self._random.uniform(0.0, world.period_s))
             if self._phase is Phase.HOLDING:
@@ -212,18 +213,11 @@ class _Script:
             )
 
     def _plan(self, world: World) -> None:
-        """Choose a move with a cruise, within the limits, to the side where there is more room."""
-        design, axis = self._campaign.design, self._campaign.loaded.config.axis
-        world.velocity = velocity = self._campaign.velocity(self._fault)
+        cruise_s = LONG_CRUISE_S if self._fault.velocity_limit else CRUISE_S
+        world.velocity = self._campaign.velocity(self._fault)
         world.start = world.drive.position
-        up, down = axis.limits.position_maximum - world.start, world.start - axis.limits.position_minimum
-        cruise_s = _LONG_CRUISE_S if self._fault.velocity_limit else _CRUISE_S
-        length = min(
-            velocity * (cruise_s + velocity / axis.limits.acceleration) + 1.5 * design.changeover_distance(velocity),
-            0.9 * max(up, down),
-        )
-        length *= self._random.uniform(0.9, 1.0)
-        world.target = world.start + (length if up >= down else -length)
+        share = self._random.random()
+        world.target = plan_target(self._campaign.design, world.start, world.velocity, share, cruise_s)
 
     async def _prepare(self, world: World) -> None:
         ahead = {Phase.IDLE: 0.5, Phase.ACCELERATING: 0.02, Phase.CRUISING: 0.5, Phase.CHANGEOVER: 0.9}
@@ -247,7 +241,7 @@ class _Script:
             Phase.CHANGEOVER: lambda: world.axis.law.stage is Stage.POSITION,
             Phase.SETTLING: lambda: (
                 world.axis.law.stage is Stage.POSITION
-                and world.axis.law.distance <= 0.1 * self._campaign.design.changeover_distance(world.velocity)
+                and world.axis.law.distance <= settling_begin(self._campaign.design, world.velocity)
             ),
             Phase.HOLDING: lambda: world.axis.state is State.HOLDING,
         }[self._phase]
@@ -263,7 +257,7 @@ class _Script:
         law, velocity = world.axis.law, world.velocity
         if self._fault.velocity_limit:
             return abs(_nominal_velocity(world)) >= 0.97 * velocity
-        near = 1.3 * self._campaign.design.changeover_distance(velocity)
+        near = cruise_end(self._campaign.design, velocity)
         return abs(law.speed_reference) >= 0.999 * velocity and law.distance <= near
 
     async def _go_on(self, world: World) -> None:

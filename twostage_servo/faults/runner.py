@@ -105,8 +105,12 @@ def _run_hosted(
 
     with concurrent.futures.ThreadPoolExecutor(2 * (os.cpu_count() or 1)) as pool:
         futures = [pool.submit(run_hosted, fault, phase, path, overrides, seed) for fault, phase in tasks]
-        for done in concurrent.futures.as_completed(futures):
-            yield done.result()
+        try:
+            for done in concurrent.futures.as_completed(futures):
+                yield done.result()
+        except BaseException:  # an error, or Ctrl-C: what has not begun shall not begin
+            pool.shutdown(cancel_futures=True)
+            raise
 
 
 def _begin(path: Path | None, overrides: Sequence[str], seed: int) -> None:

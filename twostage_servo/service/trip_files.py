@@ -15,6 +15,9 @@ import structlog
 
 from twostage_servo.service.snapshot import ready_for_json
 
+_ABANDONED_S = 60.0
+"""Age at which an unfinished file is nobody's any more."""
+
 Document = dict[str, Any]
 Records = tuple[tuple[Any, ...], ...]
 
@@ -120,3 +123,13 @@ def write_file(path: Path, document: Document, records: Records) -> None:
     others = [file for file in path.parent.iterdir() if _NAME.fullmatch(file.name) and file != path]
     for old in sorted(others)[: -(KEPT - 1)]:  # never the new one, whatever the clock has been set to
         old.unlink(missing_ok=True)
+    for unfinished in path.parent.glob("*.part"):  # of a power cut
+        if _NAME.fullmatch(unfinished.with_suffix(".json").name) and _age_s(unfinished) > _ABANDONED_S:
+            unfinished.unlink(missing_ok=True)
+
+
+def _age_s(path: Path) -> float:
+    try:
+        return time.time() - path.stat().st_mtime
+    except FileNotFoundError:  # its writer has finished it
+        return 0.0
