@@ -129,6 +129,38 @@ def test_homing_to_an_index_mark_takes_what_the_drive_latched() -> None:
     assert rig.sample - rig.axis.drive.position == pytest.approx(33.25 - 12.0, abs=1e-9)
 
 
+def test_a_switch_that_only_flickers_is_no_reference() -> None:
+    rig = rig_with({"method": "switch", "direction": "positive", **SEARCH})
+    rig.inputs["home_switch"] = False
+    rig.armed()
+    rig.axis.home()
+    rig.seconds(1.0)
+    rig.inputs["home_switch"] = True
+    rig.tick()
+    rig.inputs["home_switch"] = False
+    rig.seconds(1.0)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.HOMING_FAILED
+    assert "lower axis.homing.velocity" in rig.axis.trip.cause
+
+
+def test_homing_off_a_limit_switch_works_and_into_one_is_refused() -> None:
+    rig = rig_with({"method": "switch", "direction": "negative", **SEARCH})
+    rig.inputs.update(home_switch=False, negative_limit=False, positive_limit=False)
+    rig.armed()
+    rig.axis.move_to(10.0, 50.0)
+    rig.seconds(3.0)
+    rig.inputs["positive_limit"] = True
+    rig.axis.home()
+    rig.seconds(1.0)
+    assert (rig.axis.trip, rig.state()) == (None, State.HOMING)
+    rig.axis.stop()
+    rig.seconds(1.0)
+    rig.inputs["negative_limit"] = True
+    rig.tick()
+    assert refused(rig.axis.home) == "limit_switch"
+
+
 @pytest.mark.parametrize("method", ["switch", "index", "hard_stop"])
 def test_a_reference_that_is_not_there_fails_within_the_travel(method: str) -> None:
     rig = rig_with({"method": method, "direction": "positive", **SEARCH, "travel": 30.0})

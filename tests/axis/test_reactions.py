@@ -368,3 +368,45 @@ def test_a_quick_stop_on_request_holds_and_does_not_latch() -> None:
     move = rig.axis.move_by(10.0, 50.0)
     rig.seconds(3.0)
     assert move.outcome == "reached"
+
+
+# What a review found -------------------------------------------------------------------------------------------------
+
+
+def test_asking_for_the_stop_again_and_again_does_not_keep_it_from_being_given_up() -> None:
+    """The service disarms on every tick while it ends; a drive that keeps its effort is disabled all the same."""
+    rig = rig_with(innovation=1e3, overspeed=1e6).cruising(2000.0, 100.0)
+    kept = rig.commands[-1].effort
+    for _ in range(300):
+        rig.axis.disarm()
+        rig.load = rig.commands[-1].effort - kept
+        rig.tick()
+        if rig.axis.trip is not None:
+            break
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.BRAKING_FAILED
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_disarming_does_not_make_a_quick_stop_milder(*, again: bool) -> None:
+    def way(*, disarms: bool) -> float:
+        rig = rig_with(acceleration=200.0).cruising(2000.0, 200.0, for_s=3.0)
+        at = rig.position
+        rig.axis.stop(quick=True)
+        rig.tick()
+        if disarms:
+            rig.axis.disarm()
+            if again:
+                rig.axis.disarm()
+        rig.seconds(3.0)
+        return rig.position - at
+
+    assert way(disarms=True) == pytest.approx(way(disarms=False), abs=0.3)
+
+
+def test_an_effort_that_is_no_number_trips_in_its_tick_whatever_it_comes_from() -> None:
+    rig = AxisRig().cruising()
+    rig.axis.law._sum = math.nan
+    assert rig.tick() == NO_EFFORT
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.NOT_FINITE

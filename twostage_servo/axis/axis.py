@@ -51,9 +51,12 @@ class Axis(Machine):
         """Bring a moving axis to rest, then disable the drive; an axis at rest is disabled at once."""
         if self.state in LATCHED:  # disabled already, or about to be
             return
+        before = self.state
         self._apply(Event.DISARM)
-        if self.state is State.DISARMING:
-            self._brake(self.settings.limits.acceleration, "stopped")
+        if self.state is State.DISARMING and before is not State.DISARMING:  # asked again, it goes on as it was
+            limits = self.settings.limits
+            quick = before is State.QUICK_STOPPING  # which is not made milder
+            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped")
 
     def move_to(self, target: float, velocity: float) -> Move:
         """Take a set-point in axis unit and its cruise velocity in axis unit/s; the effort stays continuous.
@@ -121,6 +124,7 @@ class Axis(Machine):
             self.set_position(self.settings.homing.position)
             return
         self._admission.check_state(self.state, Event.HOME, self.trip)
+        self._admission.check_switches(Homing.first_direction(self.settings.homing, self.drive))
         self._homing = Homing(self.design, self.motion, self.drive)
         self.supervision.begin_move()
         self._apply(Event.HOME)

@@ -5,6 +5,7 @@ import enum
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.motion import Motion
+from twostage_servo.axis.settings import HomingSettings
 from twostage_servo.control.two_stage import Stage
 
 
@@ -36,6 +37,8 @@ class Homing:
 
     Attributes
     ----------
+    direction
+        Where it is looking now: 1 or -1.
     reference
         Where the reference was found, in axis unit by the former origin; None until then.
     """
@@ -48,14 +51,15 @@ class Homing:
         self._rest_velocity = design.rest_velocity
         self._motion = motion
         self._drive = drive
-        self._sign = 1.0 if settings.direction == "positive" else -1.0
+        self._sign = _sign(settings)
+        self.direction = 0.0
         self._still_ticks = 0
         self._stop_ticks = design.ticks(settings.stop_time_ms)
         self._ticks_left = design.ticks(1e3 * (2.0 * settings.travel / settings.slow_velocity + 10.0))
         self.reference: float | None = None
         self._start = motion.law.observer.position
         drive.forget_index()
-        if settings.method == "switch" and drive.home_switch:
+        if self.first_direction(settings, drive) != self._sign:
             self._phase = _Phase.BACK_OFF
             self._go(-self._sign, settings.slow_velocity)
         else:
@@ -63,6 +67,12 @@ class Homing:
             self._go(self._sign, settings.velocity if settings.method == "switch" else settings.slow_velocity)
         if settings.method == "hard_stop":
             motion.law.effort_limit = settings.effort
+
+    @staticmethod
+    def first_direction(settings: HomingSettings, drive: DriveReport) -> float:
+        """Return the direction, 1 or -1, in which a search sets out: away from a switch that is active already."""
+        backs_off = settings.method == "switch" and drive.home_switch
+        return -_sign(settings) if backs_off else _sign(settings)
 
     @property
     def done(self) -> bool:
@@ -86,6 +96,11 @@ class Homing:
         match self._phase:
             case _Phase.SEEK:
                 self._seek()
+            case _Phase.STOP_BEYOND if at_rest and not self._drive.home_switch:
+                raise HomingFailed(
+                    "the home switch is not active where the axis came to rest: it was passed, or has only flickered; "
+                    f"lower axis.homing.velocity, which is {self._settings.velocity:g} {self._unit}/s"
+                )
             case _Phase.STOP_BEYOND if at_rest:
                 self._phase = _Phase.BACK_OFF
                 self._go(-self._sign, self._settings.slow_velocity)
@@ -116,6 +131,7 @@ class Homing:
         self._motion.stop(self._deceleration)
 
     def _go(self, sign: float, velocity: float) -> None:
+        self.direction = sign
         # Twice the travel: the search ends at the travel, and must not slow down before.
         self._motion.set_target(self._motion.law.observer.position + sign * 2.0 * self._settings.travel, velocity)
 
@@ -131,3 +147,7 @@ class Homing:
                 f"no {self._settings.method.replace('_', ' ')} within {travelled:.4g} {self._unit} while "
                 f"{self._phase.value}; axis.homing.travel is {self._settings.travel:g} {self._unit}"
             )
+
+
+def _sign(settings: HomingSettings) -> float:
+    return 1.0 if settings.direction == "positive" else -1.0

@@ -231,7 +231,8 @@ class Machine:
         moves = abs(velocity) > self.design.rest_velocity
         switch = self.drive.blocks(velocity) if moves else None
         if self.state in COMMANDED:  # also one so slow that its speed is none
-            switch = switch or self.drive.blocks(self._heading)
+            heading = self._heading if self._homing is None else self._homing.direction
+            switch = switch or self.drive.blocks(heading)
         if switch:
             self.raise_trip(
                 TripCode.LIMIT_SWITCH,

@@ -235,7 +235,9 @@ class TwoStageLaw:
             setattr(self, name, getattr(other, name))
 
     def _limited(self, effort: float) -> float:
-        """Hold the effort within its limit and its rate."""
+        """Hold the effort within its limit and its rate; what is no number stays none, for others to see."""
+        if not math.isfinite(effort):
+            return effort
         limit = self.effort_limit
         self.saturated = not -limit <= effort <= limit
         if self.saturated:
