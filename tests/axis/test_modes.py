@@ -108,11 +108,51 @@ def test_homing_to_a_hard_stop_never_pushes_harder_than_it_may() -> None:
     assert (
         max(abs(command.effort) for command in rig.commands) <= 3.05
     )  # what holds is the estimated load, not the limit
-    assert rig.axis.drive.position == pytest.approx(12.0, abs=0.2)
+    assert 1.0 <= 60.0 - rig.position <= 1.2  # 20 windows of 0.05 mm off it, and the way of the stop
+    assert rig.axis.drive.position == pytest.approx(rig.sample - 48.0, abs=0.01)
+    assert abs(rig.commands[-1].effort) < 0.05
     assert rig.axis.law.effort_limit == 24.0
     rig.axis.move_to(0.0, 50.0)
     rig.seconds(4.0)
-    assert rig.position == pytest.approx(48.0, abs=0.3)
+    assert rig.position == pytest.approx(48.0, abs=0.05)
+
+
+@pytest.mark.parametrize("effort", [1.5, 5.0, 10.0])
+@pytest.mark.parametrize(("direction", "load"), [("positive", 0.0), ("negative", 0.5)])
+def test_after_a_hard_stop_the_axis_moves_off_it(effort: float, direction: str, load: float) -> None:
+    sign = 1.0 if direction == "positive" else -1.0
+    rig = rig_with({"method": "hard_stop", "direction": direction, "effort": effort, "back_off": 3.0, **SEARCH})
+    rig.load = load
+    rig.armed()
+    rig.axis.home()
+
+    def stop() -> None:
+        if sign * rig.position >= 60.0:
+            rig.position, rig.velocity = sign * 60.0, sign * min(sign * rig.velocity, 0.0)
+
+    until(rig, lambda: rig.state() is not State.HOMING, 60.0, stop)
+    assert 56.8 <= sign * rig.position <= 57.0
+    rig.seconds(1.0)
+    rig.axis.move_to(12.0 - sign * 40.0, 100.0)
+    rig.seconds(4.0)
+    assert (rig.state(), rig.axis.trip) == (State.HOLDING, None)
+    assert sign * rig.position == pytest.approx(20.0, abs=0.05)
+
+
+@pytest.mark.parametrize("effort", [1.5, 5.0])
+@pytest.mark.parametrize("velocity", [2.0, 20.0])
+def test_an_encoder_the_wrong_way_round_is_noticed_in_the_search_for_a_hard_stop(
+    effort: float, velocity: float
+) -> None:
+    search = SEARCH | {"slow_velocity": velocity}
+    rig = rig_with({"method": "hard_stop", "direction": "positive", "effort": effort, **search})
+    rig.sees = lambda position: -position
+    rig.armed()
+    rig.axis.home()
+    rig.seconds(3.0)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.SIGN_REVERSED
+    assert abs(rig.position) < 2.0
 
 
 def test_homing_to_an_index_mark_takes_what_the_drive_latched() -> None:

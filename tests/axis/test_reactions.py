@@ -181,12 +181,45 @@ def test_safe_torque_off_disables_and_the_position_is_still_tracked() -> None:
     assert refused.value.code == "safe_torque_off"
 
 
-def test_a_silent_heartbeat_disables_once_there_has_been_one() -> None:
-    rig = AxisRig().cruising().seconds(0.5)  # a drive without a heartbeat is not expected to have one
+def with_heartbeat() -> AxisRig:
+    return AxisRig(Axis(design_axis(axis_settings(), PERIOD_S), 16, resolution=0.001, heartbeat=True))
+
+
+def test_a_silent_heartbeat_disables() -> None:
+    rig = with_heartbeat().seconds(0.05)
     rig.axis.take_heartbeat(3)
+    rig.armed()
+    rig.axis.take_heartbeat(3)
+    rig.axis.move_to(400.0, 100.0)
     rig.seconds(0.29)
     assert rig.state() is State.SPEED_STAGE
     tripped(rig, TripCode.HEARTBEAT_LOST, within_s=0.02)
+
+
+def test_a_drive_without_a_heartbeat_is_not_expected_to_have_one() -> None:
+    assert AxisRig().cruising(for_s=2.0).axis.trip is None
+
+
+def test_a_heartbeat_that_has_never_come_keeps_the_axis_from_being_armed() -> None:
+    rig = with_heartbeat().seconds(0.05)
+    with pytest.raises(Refused, match="no heartbeat has come from the drive yet") as refused:
+        rig.axis.arm()
+    assert refused.value.code == "heartbeat_lost"
+    rig.axis.take_heartbeat(None)
+    rig.axis.arm()
+
+
+def test_after_the_bus_was_lost_the_heartbeat_has_to_come_again() -> None:
+    rig = with_heartbeat().seconds(0.05)
+    rig.axis.take_heartbeat(3)
+    rig.axis.drive.forget()
+    rig.seconds(0.05)
+    obstacle = rig.axis.obstacle_to_arming()
+    assert obstacle is not None
+    assert obstacle[0] == "heartbeat_lost"
+    rig.axis.take_heartbeat(4)  # rebooted while nobody could hear it
+    assert rig.axis.obstacle_to_arming() is None
+    assert not rig.axis.referenced
 
 
 @pytest.mark.parametrize("armed", [True, False])
@@ -352,8 +385,40 @@ def test_the_first_cause_stays_and_the_most_severe_reaction_wins(first: TripCode
     assert rig.axis.trip.cause == "first"
     more = RULES[second].reaction > RULES[first].reaction
     assert (rig.axis.escalation is not None) == more
+    noticed = first is second or RULES[first].reaction < Reaction.DISABLE
+    assert [trip.cause for trip in rig.axis.trips.values()] == (
+        ["first", "second"] if noticed and first is not second else ["first"]
+    )
     severity = max(RULES[first].reaction, RULES[second].reaction)
     assert (rig.state() is State.TRIPPED) == (severity is Reaction.DISABLE)
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_a_stop_while_arming_disarms(*, quick: bool) -> None:
+    rig = AxisRig(enables=False).seconds(0.05)
+    rig.axis.arm()
+    rig.tick()
+    rig.axis.stop(quick=quick)
+    assert rig.state() is State.DISARMED
+    assert not rig.tick().enable
+
+
+def test_a_quick_stop_hardens_the_braking_after_a_trip_and_a_stop_does_not_soften_it() -> None:
+    def distance(*requests: bool) -> float:
+        rig = AxisRig().cruising(2000.0, 250.0)
+        rig.axis.raise_trip(TripCode.SPEED_UNREACHABLE, "test")
+        at = rig.position
+        for quick in requests:
+            rig.tick()
+            rig.axis.stop(quick=quick)
+        rig.seconds(1.0)
+        assert rig.state() is State.TRIPPED
+        return rig.position - at
+
+    mild, hard = distance(), distance(True)
+    assert hard < 0.8 * mild
+    assert distance(True, False) == hard
+    assert distance(False) == mild
 
 
 def test_a_quick_stop_on_request_holds_and_does_not_latch() -> None:

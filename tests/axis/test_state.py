@@ -53,11 +53,15 @@ def trips(state: State, reaction: Reaction, after: State | None) -> None:
 
 
 def leaves_a_trip(state: State, event: Event, after: State | None) -> None:
-    """Coming to rest ends the braking; nothing but a reset ends the trip."""
+    """Coming to rest ends the braking, which may be asked to be harder; nothing but a reset ends the trip."""
     expected = {
         (State.TRIPPED_STOPPING, Event.AT_REST): State.TRIPPED,
         (State.TRIPPED_QUICK_STOP, Event.AT_REST): State.TRIPPED,
         (State.TRIPPED, Event.RESET): State.DISARMED,
+        (State.TRIPPED_STOPPING, Event.STOP): State.TRIPPED_STOPPING,
+        (State.TRIPPED_QUICK_STOP, Event.STOP): State.TRIPPED_QUICK_STOP,
+        (State.TRIPPED_STOPPING, Event.QUICK_STOP): State.TRIPPED_QUICK_STOP,
+        (State.TRIPPED_QUICK_STOP, Event.QUICK_STOP): State.TRIPPED_QUICK_STOP,
     }
     assert after is expected.get((state, event))
 

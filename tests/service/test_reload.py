@@ -72,6 +72,36 @@ def test_the_place_that_was_given_is_forgotten(file: Path) -> None:
     simulate(script)
 
 
+@pytest.mark.parametrize("lost", [True, False])
+def test_what_is_known_of_the_place_is_neither_lost_nor_given_back(file: Path, *, lost: bool) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        world.axis.set_position(50.0)
+        if lost:
+            world.axis.referenced = False
+        world.service.desk.reload = reloading(world, file)
+        change(file, "cruise_velocity = 100.0", "cruise_velocity = 40.0")
+        world.service.handle(RELOAD)
+        await world.seconds(0.05)
+        shown = world.service.snapshot()["axis"]
+        assert (shown["position"], shown["referenced"]) == (50.0, not lost)
+
+    simulate(script)
+
+
+def test_a_drive_that_reboots_is_noticed_across_a_reload(file: Path) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        boots = world.axis.drive.boots
+        world.service.desk.reload = reloading(world, file)
+        world.service.handle(RELOAD)
+        world.axis.take_heartbeat(77)
+        assert world.axis.drive.boots == boots + 1
+        assert not world.axis.referenced
+
+    simulate(script)
+
+
 @pytest.mark.parametrize("state", [State.ARMING, State.HOLDING, State.SPEED_STAGE, State.DISARMING, State.TRIPPED])
 def test_an_axis_that_is_not_disarmed_is_left_as_it_is(state: State) -> None:
     async def script(world: World) -> None:

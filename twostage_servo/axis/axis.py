@@ -9,7 +9,7 @@ from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.homing import Homing
 from twostage_servo.axis.machine import Machine
 from twostage_servo.axis.messages import Move, Refused
-from twostage_servo.axis.state import LATCHED, Event, State, next_state
+from twostage_servo.axis.state import BRAKING, LATCHED, Event, State, next_state
 
 _FAR_S = 3600.0
 """How far ahead, in time, the set-point of a jog lies on an axis that does not know its position."""
@@ -22,9 +22,15 @@ class Axis(Machine):
     """
 
     def __init__(
-        self, design: AxisDesign, counter_modulus: int, position_period: float = 0.0, resolution: float = 0.0
+        self,
+        design: AxisDesign,
+        counter_modulus: int,
+        position_period: float = 0.0,
+        resolution: float = 0.0,
+        *,
+        heartbeat: bool = False,
     ) -> None:
-        super().__init__(design, counter_modulus, position_period, resolution)
+        super().__init__(design, counter_modulus, position_period, resolution, heartbeat=heartbeat)
         self._move_numbers = itertools.count(1)
 
     # What the operator asks for --------------------------------------------------------------------------------------
@@ -147,6 +153,8 @@ class Axis(Machine):
     def stop(self, reason: str | None = None, *, quick: bool = False) -> None:
         """Brake, with the acceleration limit or the quick stop deceleration, and hold where the axis comes to rest.
 
+        An axis that is only just being armed is disarmed; one that brakes already is never braked more mildly.
+
         Raises
         ------
         Refused
@@ -157,7 +165,7 @@ class Axis(Machine):
         before = self.state
         self._apply(event)
         harder = quick and before is State.DISARMING
-        if harder or (self.state is not State.HOLDING and self.state is not before):
+        if harder or (self.state in BRAKING and self.state is not before):
             limits = self.settings.limits
             self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
 
@@ -175,6 +183,7 @@ class Axis(Machine):
             raise Refused("not_tripped", f"the axis is {self.state}: there is nothing to reset.")
         self._apply(Event.RESET)
         self.trip = self.escalation = None
+        self.trips.clear()
 
     def _new_move(self, kind: Literal["move", "jog", "home"], target: float, velocity: float) -> Move:
         self.move = Move(next(self._move_numbers), kind, target, velocity, start=self.law.observer.position)

@@ -10,6 +10,12 @@ from twostage_servo.axis.trips import TripCode
 
 _INPUTS = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
 
+_KNOWLEDGE = (
+    "monitor", "position", "age_s", "enabled", "fault_code", *_INPUTS, "index", "boots", "_near", "_origin",
+    "_boot_counter", "_heartbeat_heard", "_ticks_since_heartbeat", "_ticks_since_foreign", "_ticks_unseen",
+)  # fmt: skip
+"""What a report knows of the drive, and does not have from the settings."""
+
 
 class DriveReport:
     """Keeps the newest fresh feedback of the drive, in positions that count from the axis' own origin.
@@ -24,6 +30,8 @@ class DriveReport:
         Number of values of the feedback's alive counter.
     position_period
         Width in axis unit of the range in which the encoder counts before it rolls over; 0 if it does not.
+    heartbeat
+        Whether the drive has a heartbeat, which is then missed from the first tick on.
 
     Attributes
     ----------
@@ -49,7 +57,13 @@ class DriveReport:
     """
 
     def __init__(
-        self, settings: AxisSettings, period_s: float, counter_modulus: int, position_period: float = 0.0
+        self,
+        settings: AxisSettings,
+        period_s: float,
+        counter_modulus: int,
+        position_period: float = 0.0,
+        *,
+        heartbeat: bool = False,
     ) -> None:
         self.monitor = FeedbackMonitor(counter_modulus)
         self.position: float | None = None
@@ -63,13 +77,22 @@ class DriveReport:
         self.index: float | None = None
         self.boots = 0
         self.fresh = False
+        self._state_taken = False  # whether a frame of this tick has told the drive's state
         self._settings = settings
         self._period_ms = 1e3 * period_s
         self._position_period = position_period
         self._near: float | None = None  # where the axis is taken to be, to choose among the encoder's rounds
         self._origin = 0.0  # axis position where the encoder counts 0
         self._boot_counter: int | None = None
-        self._ticks_since_heartbeat: int | None = None
+        self._has_heartbeat = heartbeat
+        self._heartbeat_heard = False
+        self._ticks_since_heartbeat = 0
+        self._ticks_unseen = 0
+        limits = settings.limits
+        travel = limits.position_maximum - limits.position_minimum + 2.0 * limits.position_overrun
+        # Where the axis can't be half a round from where it was last seen, the nearest round is always the right one.
+        one_round_only = position_period == 0.0 or travel < 0.5 * position_period
+        self._unseen_limit_s = math.inf if one_round_only else 0.5 * position_period / limits.overspeed
         self._ticks_since_foreign: int | None = None
         self._stale_ticks = math.ceil(settings.limits.stale_feedback_ms / self._period_ms)
         self._heartbeat_ticks = math.ceil(settings.limits.heartbeat_ms / self._period_ms)
@@ -81,35 +104,46 @@ class DriveReport:
         ``expected`` is where the axis is by its estimate, in axis unit, to which what the encoder counts is rolled out;
         without one, the last position has to do.
         """
-        self.fresh = False
+        self.fresh = self._state_taken = False
         if expected is not None or self.position is not None:
             self._near = self.position if expected is None else expected
+        self._ticks_unseen += 1 + missed
         self.monitor.begin_tick(missed)
         if self._ticks_since_foreign is not None:
             self._ticks_since_foreign += 1 + missed
-        if self._ticks_since_heartbeat is not None:
-            self._ticks_since_heartbeat += 1 + missed
+        self._ticks_since_heartbeat += 1 + missed
 
     # What comes from the drive ---------------------------------------------------------------------------------------
 
-    def take(self, feedback: Feedback) -> None:
-        """Take one frame's feedback, if it is new; a fault, drop-out or input of an earlier frame of the tick stays."""
+    def take(self, feedback: Feedback) -> bool:
+        """Take one frame's feedback, if it is new; a fault, drop-out or input of an earlier frame of the tick stays.
+
+        Returns
+        -------
+        bool
+            Whether the position is still sure: False where the axis has not been seen for so long that it may have
+            gone half a round of its encoder, so that nobody knows which round this is.
+        """
         if not math.isfinite(feedback.position):
             self.monitor.reject()
-            self._take_state(feedback, again=self.fresh)  # a drive that has lost its encoder may say why
-            return
+            self._take_state(feedback)  # a drive that has lost its encoder may say why
+            return True
         if not self.monitor.accept(feedback.counter):
-            return
+            return True
         again = self.fresh
         self.fresh = True
+        sure = self._near is None or 1e-3 * self._period_ms * self._ticks_unseen < self._unseen_limit_s
+        self._ticks_unseen = 0
         position = self._rolled_out(feedback.position)
         if self._near is None:
             self._near = position
         if not (again and feedback.unasked):
             self.position, self.age_s = position, feedback.age_s
-        self._take_state(feedback, again=again)
+        self._take_state(feedback)
+        return sure
 
-    def _take_state(self, feedback: Feedback, *, again: bool) -> None:
+    def _take_state(self, feedback: Feedback) -> None:
+        again, self._state_taken = self._state_taken, True
         self.enabled = False if again and self.enabled is False else feedback.enabled
         self.fault_code = self.fault_code if again and self.fault_code is not None else feedback.fault_code
         for name in _INPUTS:
@@ -122,7 +156,7 @@ class DriveReport:
 
     def take_heartbeat(self, boot_counter: int | None) -> bool:
         """Take a heartbeat; return whether the drive has booted since the last one."""
-        self._ticks_since_heartbeat = 0
+        self._ticks_since_heartbeat, self._heartbeat_heard = 0, True
         rebooted = self._boot_counter is not None and boot_counter is not None and boot_counter != self._boot_counter
         self._boot_counter = boot_counter
         self.boots += rebooted
@@ -137,7 +171,12 @@ class DriveReport:
         self.monitor.forget()
         self.position = self.enabled = self.fault_code = self.age_s = None
         self.safe_torque_off = self.positive_limit = self.negative_limit = self.home_switch = None
-        self._ticks_since_heartbeat = None
+        self._ticks_since_heartbeat, self._heartbeat_heard = 0, False
+
+    def take_over(self, former: "DriveReport") -> None:
+        """Know what a former report of the same drive knew: settings may change, the drive and its place do not."""
+        for name in _KNOWLEDGE:
+            setattr(self, name, getattr(former, name))
 
     def forget_index(self) -> None:
         """Wait for the index mark anew."""
@@ -176,12 +215,12 @@ class DriveReport:
             yield TripCode.DRIVE_FAULT, f"the drive reports fault code {self.fault_code}"
         if self.enabled is False and not arming:
             yield TripCode.DRIVE_DROPPED_OUT, "the drive reports that it is no longer enabled"
-        if (silent := self._ticks_since_heartbeat) is not None and silent >= self._heartbeat_ticks:
+        if self._has_heartbeat and self._ticks_since_heartbeat >= self._heartbeat_ticks:
             yield (
                 TripCode.HEARTBEAT_LOST,
                 (
-                    f"no heartbeat from the drive for {self._period_ms * silent:g} ms; axis.limits.heartbeat_ms is "
-                    f"{limits.heartbeat_ms:g}"
+                    f"no heartbeat from the drive for {self._period_ms * self._ticks_since_heartbeat:g} ms; "
+                    f"axis.limits.heartbeat_ms is {limits.heartbeat_ms:g}"
                 ),
             )
         if self.is_stale:
@@ -215,6 +254,11 @@ class DriveReport:
             )
         if self.enabled is True:
             return "still_enabled", "the drive has not been disabled yet: ask again."
+        if self._has_heartbeat and not self._heartbeat_heard:
+            return (
+                TripCode.HEARTBEAT_LOST.value,
+                "no heartbeat has come from the drive yet: ask again, or set protocol.heartbeat.message to false.",
+            )
         trouble = next(self.troubles(arming=True), None)
         return None if trouble is None else (trouble[0].value, f"{trouble[1]}: remove its cause first.")
 
@@ -226,3 +270,8 @@ class DriveReport:
         if period and self._near is not None:
             position += period * round((self._near - position) / period)
         return position
+
+    def step(self, before: float, now: float) -> float:
+        """Return how far it is from one position to the next that was seen, in axis unit: at most half a round."""
+        distance, period = now - before, self._position_period
+        return distance - period * round(distance / period) if period else distance

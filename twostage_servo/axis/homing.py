@@ -8,11 +8,15 @@ from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.settings import HomingSettings
 from twostage_servo.control.two_stage import Stage
 
+_BACK_OFF_WINDOWS = 20.0
+"""Position windows by which a hard stop is left, where the settings do not say."""
+
 
 class _Phase(enum.Enum):
     SEEK = "seeking"
     STOP_BEYOND = "stopping beyond the reference"
     BACK_OFF = "backing off"
+    LEAVE = "leaving the hard stop"
     STOP = "stopping"
     DONE = "done"
 
@@ -25,8 +29,9 @@ class Homing:
     """One search for the reference; :meth:`step` is called once a tick until :attr:`done`.
 
     A switch is passed at the search velocity, then left slowly: the edge at which it opens is the reference, from the
-    same side each time. A hard stop is where the axis stands still under the homing effort. An index mark is what the
-    drive latches on the way.
+    same side each time. A hard stop is where the axis stands still under the homing effort; it is left by a little, or
+    the law would go on pushing for good against what it takes for a load. An index mark is what the drive latches on
+    the way.
 
     Parameters
     ----------
@@ -54,6 +59,7 @@ class Homing:
         self._sign = _sign(settings)
         self.direction = 0.0
         self._still_ticks = 0
+        self._back_off = settings.back_off or _BACK_OFF_WINDOWS * design.settings.window.position
         self._stop_ticks = design.ticks(settings.stop_time_ms)
         self._ticks_left = design.ticks(1e3 * (2.0 * settings.travel / settings.slow_velocity + 10.0))
         self.reference: float | None = None
@@ -106,6 +112,9 @@ class Homing:
                 self._go(-self._sign, self._settings.slow_velocity)
             case _Phase.BACK_OFF if self._drive.fresh and not self._drive.home_switch:
                 self._find(self._drive.position)
+            case _Phase.LEAVE if self._has_left():
+                self._phase = _Phase.STOP
+                self._motion.stop(self._deceleration)
             case _Phase.STOP if at_rest:
                 self._phase = _Phase.DONE
 
@@ -122,8 +131,13 @@ class Homing:
             pushing = self._sign * self._motion.law.effort * self._motion.law.observer.plant.b2 > 0.0
             self._still_ticks = self._still_ticks + 1 if still and pushing and self._motion.law.saturated else 0
             if self._still_ticks >= self._stop_ticks:
-                self._find(observer.position)
-                self._motion.law.effort_limit = self._effort_limit
+                self.reference = observer.position
+                self._phase = _Phase.LEAVE
+                self._go(-self._sign, self._settings.slow_velocity)
+
+    def _has_left(self) -> bool:
+        assert self.reference is not None  # noqa: S101 - it is found before it is left
+        return self._sign * (self.reference - self._motion.law.observer.position) >= self._back_off
 
     def _find(self, position: float | None) -> None:
         self.reference = position

@@ -28,6 +28,8 @@ class Machine:
         Width in axis unit of the range in which the encoder counts before it rolls over; 0 if it does not.
     resolution
         Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+    heartbeat
+        Whether the drive has a heartbeat.
 
     Attributes
     ----------
@@ -43,23 +45,32 @@ class Machine:
         The latched trip, or None. A later one does not replace it, but its reaction wins if it is more severe.
     escalation
         The later trip that did so, or None.
+    trips
+        Every trip since the last reset, the first of each code.
     move
         The latest move, jog or homing, or None.
     """
 
     def __init__(
-        self, design: AxisDesign, counter_modulus: int, position_period: float = 0.0, resolution: float = 0.0
+        self,
+        design: AxisDesign,
+        counter_modulus: int,
+        position_period: float = 0.0,
+        resolution: float = 0.0,
+        *,
+        heartbeat: bool = False,
     ) -> None:
         self.design = design
         self.settings = design.settings
         self.state = State.DISARMED
-        self.drive = DriveReport(self.settings, design.period_s, counter_modulus, position_period)
+        self.drive = DriveReport(self.settings, design.period_s, counter_modulus, position_period, heartbeat=heartbeat)
         self.motion = Motion(design, self.drive, resolution)
         self.supervision = Supervision(design, self.motion)
         self._admission = Admission(design, self.drive)
         self.referenced = not self.settings.homing.required
         self.trip: Trip | None = None
         self.escalation: Trip | None = None
+        self.trips: dict[TripCode, Trip] = {}
         self.move: Move | None = None
         self._homing: Homing | None = None
         self._heading = 0.0  # its sign is the direction of the present leg
@@ -81,21 +92,34 @@ class Machine:
     def begin_tick(self, tick: int, missed: int) -> None:
         """Open a tick: its index, and how many were missed just before it."""
         self._tick = tick
-        self.drive.begin_tick(missed, self.motion.expected_position(driven=self.state in DRIVEN))
+        driven = self.state in DRIVEN
+        if missed and driven:
+            self.motion.skip(missed)
+        elif missed:
+            self.motion.lose_track()  # it coasts, or is pushed, and nobody has looked
+        self.drive.begin_tick(missed, self.motion.expected_position(driven=driven))
         self.motion.begin_tick(missed)
         self._jog_ticks_left -= 1 + missed
-        if self.state in DRIVEN and missed:
-            self.motion.skip(missed)
-            if missed > self.settings.limits.missed_ticks:
-                self.raise_trip(
-                    TripCode.MISSED_TICKS,
-                    f"{missed} ticks of {1e3 * self.design.period_s:g} ms were missed in one go; "
-                    f"axis.limits.missed_ticks is {self.settings.limits.missed_ticks}",
-                )
+        if driven and missed > self.settings.limits.missed_ticks:
+            self.raise_trip(
+                TripCode.MISSED_TICKS,
+                f"{missed} ticks of {1e3 * self.design.period_s:g} ms were missed in one go; "
+                f"axis.limits.missed_ticks is {self.settings.limits.missed_ticks}",
+            )
 
     def take_feedback(self, feedback: Feedback) -> None:
         """Take one decoded feedback frame; the newest of a tick counts."""
-        self.drive.take(feedback)
+        self.referenced = self.drive.take(feedback) and self.referenced
+
+    def take_over(self, former: "Machine") -> None:
+        """Know what a former axis on the same drive knew of it; both are disarmed, only the settings have changed.
+
+        A lost reference stays lost, and one that was found by other rules ([axis.homing]) has to be found again where
+        it is required.
+        """
+        self.drive.take_over(former.drive)
+        by_the_same_rules = self.settings.homing == former.settings.homing or not self.settings.homing.required
+        self.referenced = former.referenced and by_the_same_rules
 
     def take_heartbeat(self, boot_counter: int | None) -> None:
         """Take a heartbeat with its count of the drive's boots; a drive that has rebooted has lost its position."""
@@ -135,6 +159,7 @@ class Machine:
         if after is None:
             return
         trip = Trip(code, cause, self._tick)
+        self.trips.setdefault(code, trip)
         self.motion.blind = self.motion.blind or rule.blind
         if rule.estimate_lost:
             self.motion.distrust()

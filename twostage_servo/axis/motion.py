@@ -74,6 +74,7 @@ class Motion:
         self.nominal.continue_from(self.law)
         self.model_test.start(self.law.observer)
         self._speed_of_late = 0.0
+        self._outlier = None
         self.blind = False
         self.implausible = 0
         self.unchanged_effort = 0.0
@@ -136,7 +137,8 @@ class Motion:
         # Not dated: by the speed, which is what the samples have to tell in the first place.
         position = self._drive.position if self._drive.fresh else None
         if self._drive.is_stale or self.blind:
-            self._tracking = self.blind = False
+            self.lose_track()
+            self.blind = False
         elif position is None:
             observer.predict(effort)
         elif not self._tracking:
@@ -150,7 +152,8 @@ class Motion:
             self._outlier = position
         else:
             # An axis that moves when it is first seen, or is knocked: two samples say how fast.
-            observer.start_moving(self._tracked if self._outlier is None else self._outlier, position)
+            before = self._tracked if self._outlier is None else self._outlier
+            observer.start_moving(position - self._drive.step(before, position), position)
             self._samples_tracked += 1
             self._outlier = None
         if position is not None:
@@ -170,6 +173,7 @@ class Motion:
     def lose_track(self) -> None:
         """Start the observer afresh at the next sample: what it holds is not to be built on."""
         self._tracking = False
+        self._outlier = None
 
     @property
     def innovation_limit(self) -> float:

@@ -191,6 +191,13 @@ class HomingSettings(Settings):
     stop_time_ms: float = quantity(
         200.0, unit="ms", description="Standstill at that effort that counts as the hard stop", gt=0.0, le=60_000.0
     )
+    back_off: float = quantity(
+        0.0,
+        unit="axis unit",
+        description="How far the axis then leaves the hard stop, which is more than the stop gives; 0: 20 windows",
+        ge=0.0,
+        le=1e9,
+    )
     travel: float = quantity(
         1000.0, unit="axis unit", description="Distance after which the search has failed", gt=0.0, le=1e9
     )

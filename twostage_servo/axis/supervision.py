@@ -116,6 +116,7 @@ class Supervision:
                 yield from self._position()
             return
         if state is State.HOMING and self._settings.homing.method == "hard_stop":
+            yield from self._reversed()
             return
         if referenced and state is not State.HOMING:
             yield from self._position()
@@ -226,6 +227,9 @@ class Supervision:
                     "or [axis.plant] is"
                 ),
             )
+
+    def _reversed(self) -> Iterator[Violation]:
+        yield from (violation for violation in self._model() if violation[0] is TripCode.SIGN_REVERSED)
 
     def _following(self) -> Iterator[Violation]:
         limits, unit = self._settings.limits, self._settings.unit

@@ -1,5 +1,6 @@
 """The drive profile: a drive's protocol, compiled from its DBC, seen from the controller and from the drive."""
 
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, NamedTuple, Self
@@ -29,6 +30,7 @@ __all__ = [
     "Identifier",
     "Index",
     "IndexSettings",
+    "PositionRejected",
     "ProtocolError",
     "ProtocolSettings",
 ]
@@ -59,6 +61,20 @@ class Command(NamedTuple):
     effort: float
     enable: bool | None
     counter: int | None
+
+
+class PositionRejected(FrameRejected):
+    """A feedback whose position must not be used, though the frame is whole: a drive without encoder still has a state.
+
+    Attributes
+    ----------
+    feedback : Feedback
+        What else the frame says; its position is NaN.
+    """
+
+    def __init__(self, reason: str, message: can.Message, detail: str, feedback: Feedback) -> None:
+        super().__init__(reason, message, detail)
+        self.feedback = feedback
 
 
 class Index(NamedTuple):
@@ -186,6 +202,15 @@ class DriveProfile:
         """Whether the frame has the number of the feedback; :meth:`decode_feedback` judges the rest."""
         return message.arbitration_id == self.feedback_id.identifier
 
+    def is_command(self, message: can.Message) -> bool:
+        """Whether the drive would take the frame for a command, as far as its identifier and kind tell."""
+        number, extended = self.command_id
+        return (
+            message.arbitration_id == number
+            and message.is_extended_id == extended
+            and not (message.is_remote_frame or message.is_error_frame)
+        )
+
     def is_index(self, message: can.Message) -> bool:
         """Whether the frame has the number of the index message; :meth:`decode_index` judges the rest."""
         return self.index_id is not None and message.arbitration_id == self.index_id.identifier
@@ -231,16 +256,20 @@ class DriveProfile:
         return self._feedback.data(_encode(self._feedback_encoders, feedback))
 
     def decode_feedback(self, message: can.Message) -> Feedback:
-        """Read a feedback; a position beyond :data:`LARGEST_POSITION` is none."""
+        """Read a feedback; a position beyond :data:`LARGEST_POSITION` is none.
+
+        Raises
+        ------
+        FrameRejected
+            If the frame must not be used; a :class:`PositionRejected`, if all but its position may be.
+        """
         word = self._feedback.word(message)
         position, counter, enabled, fault, fault_code, timeout, torque_off, positive, negative, home = (
             self._feedback_decoders
         )
         try:
-            place = position(word)
-            _check_position(place)
-            return Feedback(
-                place,
+            feedback = Feedback(
+                math.nan,
                 counter(word),
                 enabled(word),
                 fault(word),
@@ -253,6 +282,12 @@ class DriveProfile:
             )
         except UndecodableValue as error:
             raise FrameRejected(error.reason, message, str(error)) from error
+        try:
+            place = position(word)
+            _check_position(place)
+        except UndecodableValue as error:
+            raise PositionRejected(error.reason, message, str(error), feedback) from error
+        return feedback._replace(position=place)
 
     def encode_index(self, index: Index) -> bytes:
         """Make the data of an index message, as the drive does. None counts as 0, NaN as an invalid position.

@@ -73,7 +73,28 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile) -> Axis:
     ConfigError
         If no law can be designed from the settings.
     """
-    return Axis(design(loaded), profile.counter_modulus, profile.position_period, profile.position_quantum)
+    _check_encoder(loaded, profile)
+    return Axis(
+        design(loaded),
+        profile.counter_modulus,
+        profile.position_period,
+        profile.position_quantum,
+        heartbeat=profile.heartbeat_id is not None,
+    )
+
+
+def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile) -> None:
+    limits, unit = loaded.config.axis.limits, loaded.config.axis.unit
+    travel = limits.position_maximum - limits.position_minimum + 2.0 * limits.position_overrun
+    half = 0.5 * profile.position_period
+    gone = 1e-3 * limits.overspeed * limits.stale_feedback_ms
+    if 0.0 < half <= min(travel, gone):
+        raise loaded.problem(
+            ("axis", "limits", "stale_feedback_ms"),
+            f"in {limits.stale_feedback_ms:g} ms without feedback the axis can go {gone:g} {unit} (limits.overspeed), "
+            f"which is not less than half of the {profile.position_period:g} {unit} after which its encoder comes "
+            f"round to the same count: allow less than {1e3 * half / limits.overspeed:.4g} ms",
+        )
 
 
 def build_service(
@@ -121,7 +142,9 @@ def reload_axis(service: ServoService, running: LoadedConfig[Config], fresh: Loa
     if fresh.config.axis.unit != running.config.axis.unit:  # the frames were compiled for it
         raise fresh.problem(("axis", "unit"), "the unit has changed: only a restart of the service can follow that")
     _check_effort(fresh, service.profile)
-    service.axis = build_axis(fresh, service.profile)
+    axis = build_axis(fresh, service.profile)
+    axis.take_over(service.axis)
+    service.axis = axis
 
 
 def socket_path(config: Config) -> Path:

@@ -7,7 +7,8 @@ import structlog
 
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.state import DRIVEN
-from twostage_servo.canbus.profile import DriveProfile, FrameRejected
+from twostage_servo.canbus.profile import DriveProfile, FrameRejected, PositionRejected
+from twostage_servo.canbus.profile import Feedback as Reported
 from twostage_servo.ticks import Tick
 
 if TYPE_CHECKING:
@@ -67,18 +68,22 @@ class Receiver:
         profile = self._profile
         try:
             if profile.is_feedback(message):
-                self._take_feedback(message, axis)
+                self._take(profile.decode_feedback(message), message, axis)
             elif profile.is_heartbeat(message):
                 heartbeat = profile.decode_heartbeat(message)
                 self.drive_state = heartbeat.state
                 axis.take_heartbeat(heartbeat.boot_counter)
             elif profile.is_index(message):
                 axis.drive.take_index(profile.decode_index(message).position)
+            elif profile.is_command(message):
+                axis.notice_foreign_command(f"{profile.command_id} [{message.data.hex(' ')}]")
             else:
-                axis.notice_foreign_command(f"0x{message.arbitration_id:X} [{message.data.hex(' ')}]")
+                profile.decode_command(message)  # which says what it is instead
         except FrameRejected as rejection:
             self._link.counters.count_rejection(rejection.reason)
-            if profile.is_feedback(message):
+            if isinstance(rejection, PositionRejected):
+                self._take(rejection.feedback, message, axis)
+            elif profile.is_feedback(message):
                 axis.drive.monitor.reject()
             self._log.debug("frame rejected", reason=rejection.reason, text=rejection)
 
@@ -86,8 +91,7 @@ class Receiver:
         """Start afresh, as after the bus was lost."""
         self.drive_state = None
 
-    def _take_feedback(self, message: can.Message, axis: "Axis") -> None:
-        feedback = self._profile.decode_feedback(message)
+    def _take(self, feedback: Reported, message: can.Message, axis: "Axis") -> None:
         faulty = (
             feedback.fault
             or (feedback.fault is None and feedback.fault_code)

@@ -33,7 +33,8 @@ class Reporter:
         self._log = structlog.get_logger().bind(axis=service.axis.settings.name)
         self._state = service.axis.state
         self._trip: Trip | None = None
-        self._escalation: Trip | None = None
+        self._told = 1  # trips since the last reset, the first one apart
+        self._referenced = service.axis.referenced
         self._rejected = 0
         self._stale = True
         self._controller = "active"
@@ -46,6 +47,10 @@ class Reporter:
         if axis.state is not self._state:
             self._log.info("state", tick=tick.index, before=self._state, now=axis.state)
             self._state = axis.state
+        if axis.referenced is not self._referenced:
+            self._referenced = axis.referenced
+            text = "the position is known" if axis.referenced else "the position is no longer known: home the axis"
+            self._log.warning(text, tick=tick.index)
         if axis.drive.is_stale is not self._stale:
             self._stale = axis.drive.is_stale
             self._log.warning("feedback stale" if self._stale else "feedback fresh", tick=tick.index)
@@ -69,7 +74,8 @@ class Reporter:
                     service.recorder.records(),
                 )
         self._trip = trip
-        escalation = service.axis.escalation
-        if escalation is not None and escalation is not self._escalation:
-            self._log.error("trip, more severe", tick=tick.index, code=escalation.code, cause=escalation.cause)
-        self._escalation = escalation
+        axis = service.axis
+        for later in list(axis.trips.values())[self._told :]:
+            event = "trip, more severe" if later is axis.escalation else "trip, as well"
+            self._log.error(event, tick=later.tick, code=later.code, cause=later.cause)
+        self._told = max(1, len(axis.trips))

@@ -58,6 +58,7 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
             "tick": axis.trip.tick,
             "reaction": axis.trip.reaction.name.lower(),
             "escalation": None if axis.escalation is None else axis.escalation.code,
+            "codes": list(axis.trips),
             "file": None if files is None or files.latest is None else str(files.latest),
             "file_error": None if files is None else files.error,
         },
