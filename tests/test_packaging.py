@@ -21,7 +21,7 @@ MAY_IMPORT = {
     "axis": {"control"},
     "canbus": {"control"},
     "simulation": {"canbus", "control"},
-    "service": {"axis", "canbus", "control", "config"},
+    "service": {"axis", "canbus", "control", "config", "machine"},
     "faults": {
         "axis",
         "canbus",
@@ -32,9 +32,10 @@ MAY_IMPORT = {
         "cli",
     },  # its children are whole programs
     "paper": {"control"},
-    "cli": {"axis", "canbus", "control", "simulation", "service", "config", "faults", "paper"},
+    "cli": {"axis", "canbus", "control", "simulation", "service", "config", "machine", "faults", "paper"},
     # config only composes the rooms' settings; it may take nothing else from them (see below).
     "config": {"axis", "canbus", "simulation", "service", "config_problems", "settings_reference", "toml_lines"},
+    "machine": {"config", "service"},  # of the service only its settings
     "config_problems": {"settings_reference", "toml_lines"},
     "settings_reference": set[str](),
     "toml_lines": set[str](),

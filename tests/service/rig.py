@@ -15,6 +15,7 @@ from twostage_servo.canbus.profile import Command
 from twostage_servo.config import load
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.loop import ServoService
+from twostage_servo.service.station import Station
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -48,6 +49,7 @@ class World:
     """What a script can look at and act on."""
 
     service: ServoService
+    station: Station
     drive: SimulatedDrive
     wire: Wire
     ticks: BusyTicks
@@ -56,14 +58,14 @@ class World:
 
     @property
     def axis(self) -> Axis:
-        return self.service.axis
+        return self.station.axis
 
     def state(self) -> State:
         return self.axis.state
 
     def sent(self) -> list[tuple[int, Command]]:
         """The commands as they stood on the bus, each with its tick."""
-        profile = self.service.profile
+        profile = self.station.profile
         return [
             (tick, profile.decode_command(can.Message(arbitration_id=identifier, is_extended_id=False, data=data)))
             for tick, direction, identifier, data in self.trace
@@ -102,18 +104,19 @@ def simulate(script: Callable[[World], Awaitable[_Result]], *overrides: str) -> 
     async def main() -> _Result:
         loop = asyncio.get_running_loop()
         wire = Wire(loop.time)
-        service = build_service(loaded, BUS, functools.partial(wire.attach, "service"))
+        service = build_service(loaded, BUS, lambda _: wire.attach("service"))
         service.ticks = ticks = BusyTicks(service.ticks.period_s)
-        drive = SimulatedDrive(loaded.config.simulation, service.profile, loop.time())
-        link = Link(BUS, service.profile.drive_identifiers, functools.partial(wire.attach, "drive"))
+        station = service.station()
+        drive = SimulatedDrive(loaded.config.simulation, station.profile, loop.time())
+        link = Link(BUS, station.profile.drive_identifiers, functools.partial(wire.attach, "drive"))
         node = DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3)
         driving = asyncio.create_task(node.run())
-        world = World(service, drive, wire, ticks, asyncio.create_task(service.run()))
+        world = World(service, station, drive, wire, ticks, asyncio.create_task(service.run()))
 
         def observe(tick: int, direction: str, identifier: int, data: bytes) -> None:
             world.trace.append((tick, direction, identifier, data))
 
-        service.frame_observers.append(observe)
+        station.port.observers.append(observe)
         try:
             return await script(world)
         finally:

@@ -87,7 +87,7 @@ def test_a_bad_request_is_answered_and_the_connection_goes_on(path: Path, line: 
         assert answer["error"]["code"] == "bad_request"
         assert said.lower() in answer["error"]["message"].lower()
         assert (await operator.ask(op="status"))["ok"]
-        assert world.service.tick_missed == 0
+        assert world.service.statistics.missed == 0
 
     serve(path, script)
 
@@ -121,7 +121,7 @@ def test_a_watcher_gets_snapshots_at_its_pace(path: Path) -> None:
         await watcher.ask(op="watch", every=20)
         counts = [(await watcher.answer())["ticks"]["count"] for _ in range(5)]
         assert [after - before for before, after in itertools.pairwise(counts)] == [20] * 4
-        assert world.service.tick_missed == 0
+        assert world.service.statistics.missed == 0
 
     serve(path, script)
 
@@ -135,7 +135,7 @@ def test_a_watcher_that_never_reads_is_bounded_and_delays_nothing(path: Path) ->
         (client,) = control._clients
         assert client.unsent > 1000
         assert client._writer.transport.get_write_buffer_size() < 400_000
-        assert world.service.tick_missed == 0
+        assert world.service.statistics.missed == 0
         assert (await (await connect(path)).ask(op="status"))["ok"]
 
     serve(path, script)
@@ -180,7 +180,7 @@ def test_only_owner_and_group_may_open_the_socket(path: Path) -> None:
 def test_a_second_service_is_refused_and_a_dead_socket_is_taken_over(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         with pytest.raises(SocketInUseError, match="another service answers"):
-            await ControlSocket(path, world.service.handle, world.service.desk.leave).start()
+            await ControlSocket(path, world.service.handle, world.service.snapshot, world.service.desk.leave).start()
 
     serve(path, script)
     path.parent.mkdir(exist_ok=True)
@@ -195,7 +195,7 @@ def test_a_file_that_is_no_socket_is_not_removed(path: Path) -> None:
 
     async def script(world: World) -> None:
         with pytest.raises(OSError, match="is not a socket"):
-            await ControlSocket(path, world.service.handle, world.service.desk.leave).start()
+            await ControlSocket(path, world.service.handle, world.service.snapshot, world.service.desk.leave).start()
 
     simulate(script)
     assert path.read_text() == "precious"
@@ -243,7 +243,7 @@ def test_a_flood_of_requests_does_not_hold_up_the_tick(path: Path) -> None:
             seen.append(served)
         # Without a pass of the loop between them, all that fits in the buffers would be served at one go.
         assert max(after - before for before, after in itertools.pairwise(seen)) <= 5
-        assert world.service.tick_missed == 0
+        assert world.service.statistics.missed == 0
 
     serve(path, script)
 

@@ -11,7 +11,6 @@ from tests.service.rig import World, simulate
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.profile import Command
-from twostage_servo.service.snapshot import take_snapshot
 
 QUANTUM = 0.001  # of the effort in the shipped DBC
 RATE_A_TICK = 1000.0 * 0.01  # axis.limits.effort_rate, in V
@@ -20,10 +19,10 @@ QUICK_STOP_TICKS = 100.0 / 4000.0 / 0.01
 
 # Where in the tick the defect shows: the part of the service, and what it calls there.
 PLACES: dict[str, Callable[[World], tuple[Any, str]]] = {
-    "read": lambda world: (world.service.receiver, "take"),
+    "read": lambda world: (world.station.receiver, "take"),
     "update": lambda world: (world.axis, "step"),
-    "write": lambda world: (world.service.profile, "encode_command"),
-    "publish": lambda world: (world.service.recorder, "add"),
+    "write": lambda world: (world.station.profile, "encode_command"),
+    "publish": lambda world: (world.station.recorder, "add"),
 }
 
 
@@ -81,7 +80,7 @@ def test_a_defect_in_mid_move_is_a_quick_stop_and_comes_out(monkeypatch: pytest.
         efforts = [command.effort for command in commands if command.enable]
         steps = [abs(after - before) for before, after in itertools.pairwise(efforts)]
         assert max(steps) <= 2.0 * RATE_A_TICK + QUANTUM  # a tick may be missing between two
-        assert not world.service.link.is_open
+        assert not world.station.port.link.is_open
 
     simulate(script)
 
@@ -99,7 +98,7 @@ def test_a_second_defect_disables_at_once(monkeypatch: pytest.MonkeyPatch, place
         await world.seconds(0.005)
         assert not world.drive.enabled
         assert world.drive.fault_code == 0
-        assert not world.service.link.is_open
+        assert not world.station.port.link.is_open
 
     simulate(script)
 
@@ -110,7 +109,7 @@ def test_commands_that_cannot_be_made_any_more_leave_the_stop_to_the_drive(monke
         breaking(monkeypatch, *PLACES["write"](world), times=float("inf"))
         with pytest.raises(DefectError):
             await world.serving
-        assert not world.service.link.is_open
+        assert not world.station.port.link.is_open
         await world.seconds(0.2)
         assert not world.drive.enabled
         assert world.drive.counters.command_timeouts == 1
@@ -159,7 +158,7 @@ def test_a_braking_service_takes_no_more_orders_after_a_defect(monkeypatch: pyte
         await world.seconds(0.02)
         assert world.service.is_ending
         assert world.state() is State.TRIPPED_QUICK_STOP
-        snapshot = take_snapshot(world.service)
+        snapshot = world.service.snapshot()
         assert snapshot["trip"]["code"] == "internal_error"
         assert snapshot["trip"]["reaction"] == "quick_stop"
         assert snapshot["axis"]["cia402"] == "fault reaction active"

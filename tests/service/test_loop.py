@@ -22,8 +22,8 @@ def test_a_move_over_can_frames() -> None:
         await world.until(lambda: move.outcome != "moving")
         assert move.outcome == "reached"
         assert world.drive.position == pytest.approx(400.0, abs=0.06)
-        assert world.service.link.counters.rejected == 0
-        assert world.service.tick_missed == 0
+        assert world.station.port.link.counters.rejected == 0
+        assert world.service.statistics.missed == 0
         assert world.axis.drive.monitor.lost == 0
 
     simulate(script)
@@ -70,10 +70,10 @@ def test_a_retarget_in_mid_move_settles(retarget: tuple[float, float]) -> None:
 def test_shut_down_in_mid_move_ramps_and_disables() -> None:
     async def script(world: World) -> list[tuple[int, Command]]:
         await world.cruising()
-        begun = world.service.tick_count
+        begun = world.service.statistics.count
         world.service.shut_down()
         await asyncio.wait_for(world.serving, 1.0)
-        assert 100.0 / 2000.0 / 0.01 < world.service.tick_count - begun < 80  # the ramp of the acceleration limit
+        assert 100.0 / 2000.0 / 0.01 < world.service.statistics.count - begun < 80  # the ramp of the acceleration limit
         assert world.state() is State.DISARMED
         assert abs(world.drive.velocity) < 3.0
         return world.sent()
@@ -102,7 +102,7 @@ def test_a_service_that_stops_sending_is_stopped_by_the_drive() -> None:
         await world.cruising()
         world.service.ticks.stop()
         await world.seconds(0.05)
-        world.service.link.close()
+        world.station.port.link.close()
         await world.seconds(1.0)
         assert not world.drive.enabled
         assert abs(world.drive.velocity) < 0.1
@@ -118,7 +118,7 @@ def test_a_lost_bus_trips_and_comes_back_disarmed(monkeypatch: pytest.MonkeyPatc
             raise LinkError("bus virtual test failed while receiving: unplugged")
 
         with monkeypatch.context() as patch:
-            patch.setattr(world.service.link, "drain", gone)
+            patch.setattr(world.station.port.link, "drain", gone)
             await world.seconds(0.015)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.BUS_FAILED
@@ -141,7 +141,7 @@ def test_a_lost_bus_trips_and_comes_back_disarmed(monkeypatch: pytest.MonkeyPatc
 def test_a_bus_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         attempts = []
-        open_link = world.service.link.open
+        open_link = world.station.port.link.open
 
         def not_yet() -> None:
             attempts.append(1)
@@ -149,10 +149,10 @@ def test_a_bus_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.MonkeyPat
                 raise LinkError("no such device")
             open_link()
 
-        monkeypatch.setattr(world.service.link, "open", not_yet)
+        monkeypatch.setattr(world.station.port.link, "open", not_yet)
         await world.seconds(0.5)
         assert world.service.snapshot()["bus"] == {
-            "open": False, "error": "no such device", "drive_state": None, "controller": "active",
+            "channel": "can0", "open": False, "error": "no such device", "drive_state": None, "controller": "active",
         }  # fmt: skip
         with pytest.raises(Refused, match="no fresh feedback"):
             world.axis.arm()
@@ -171,10 +171,10 @@ def test_a_stall_is_skipped_counted_and_never_made_up_in_a_burst(stall_s: float,
     async def script(world: World) -> None:
         await world.cruising()
         world.ticks.hold_s = stall_s
-        before = world.service.tick_count
+        before = world.service.statistics.count
         await world.seconds(1.0)
-        assert world.service.tick_missed == missed
-        assert abs(world.service.tick_count - before - round((1.0 - stall_s) / 0.01)) <= 2
+        assert world.service.statistics.missed == missed
+        assert abs(world.service.statistics.count - before - round((1.0 - stall_s) / 0.01)) <= 2
         assert (world.axis.trip is not None) == trips
         ticks = [tick for tick, direction, *_ in world.trace if direction == "sent"]
         assert len(ticks) == len(set(ticks))
@@ -185,7 +185,7 @@ def test_a_stall_is_skipped_counted_and_never_made_up_in_a_burst(stall_s: float,
 def test_frames_that_cannot_be_used_are_counted_and_bridged() -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        identifier = world.service.profile.feedback_id.identifier
+        identifier = world.station.profile.feedback_id.identifier
         rejected = {
             "length": [can.Message(arbitration_id=identifier, is_extended_id=False, data=bytes(n)) for n in (0, 7)],
             "checksum": [
@@ -215,7 +215,7 @@ def test_the_recording_holds_the_ticks_before_the_trip() -> None:
         await world.seconds(1.0)
         world.axis.raise_trip(TripCode.OVERSPEED, "test")
         await world.seconds(5.0)
-        records = world.service.recorder.records()
+        records = world.station.recorder.records()
         assert len(records) == 200
         assert records[-1].state == State.TRIPPED
         assert [record.state for record in records[:-1]] == [State.SPEED_STAGE] * 199
@@ -229,7 +229,7 @@ def test_a_second_controller_on_the_bus_trips_and_keeps_the_axis_from_arming() -
 
     async def script(world: World) -> None:
         await world.cruising()
-        profile = world.service.profile
+        profile = world.station.profile
         frame = profile.encode_command(3.0, enable=True, counter=7)
         with world.wire.attach("another controller") as other:
             other.send(can.Message(arbitration_id=profile.command_id.identifier, is_extended_id=False, data=frame))
@@ -253,7 +253,7 @@ def test_arming_over_a_closed_bus_says_that_the_bus_is_closed(monkeypatch: pytes
         def fail() -> None:
             raise LinkError("unplugged")
 
-        monkeypatch.setattr(world.service.link, "open", fail)
+        monkeypatch.setattr(world.station.port.link, "open", fail)
         await world.seconds(0.1)
         with pytest.raises(Refused, match="the bus is not open: unplugged"):
             world.service.handle(ArmRequest(op="arm"))
@@ -291,7 +291,7 @@ def test_a_send_that_fails_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch) -> Non
             raise LinkError("bus failed while sending: network is down")
 
         with monkeypatch.context() as patch:
-            patch.setattr(world.service.link, "send", gone)
+            patch.setattr(world.station.port.link, "send", gone)
             await world.seconds(0.015)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.BUS_FAILED
@@ -332,7 +332,7 @@ def test_a_bus_that_is_being_opened_is_closed_at_the_end(monkeypatch: pytest.Mon
     """The thread that opens the bus must not do so after the service has closed it."""
 
     async def script(world: World) -> None:
-        link = world.service.link
+        link = world.station.port.link
         await world.seconds(0.1)
         opening = asyncio.Event()
 

@@ -157,7 +157,7 @@ def test_a_tick_that_fails_does_not_count_as_completed(
         await world.seconds(0.05)
         assert len(manager.heard()) == 5
 
-        def broken(_: object) -> None:
+        def broken(*_: object) -> None:
             raise RuntimeError("broken for good")
 
         monkeypatch.setattr(world.service, place, broken)

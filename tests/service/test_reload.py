@@ -10,7 +10,8 @@ from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.config import ConfigError, load
-from twostage_servo.service.assembly import reload_axis
+from twostage_servo.machine import Machine
+from twostage_servo.service.assembly import reload_machine
 from twostage_servo.service.requests import ArmRequest, MoveRequest, ReloadRequest
 
 RELOAD = ReloadRequest(op="reload")
@@ -31,8 +32,8 @@ def change(file: Path, old: str, new: str) -> None:
 
 
 def reloading(world: World, file: Path) -> Callable[[], None]:
-    running = load(file)
-    return lambda: reload_axis(world.service, running, load(file))
+    running = Machine.of(load(file))
+    return lambda: reload_machine(world.service, running, Machine.of(load(file)))
 
 
 def test_what_has_changed_is_in_force_and_the_axis_stays_disarmed(file: Path) -> None:
@@ -52,7 +53,7 @@ def test_what_has_changed_is_in_force_and_the_axis_stays_disarmed(file: Path) ->
             world.service.handle(MoveRequest(op="move", position=61.0))
         assert world.service.handle(MoveRequest(op="move", position=50.0))["move"]["velocity"] == 40.0
         await world.until(lambda: world.axis.move is not None and world.axis.move.outcome == "reached")
-        assert world.service.tick_missed == 0
+        assert world.service.statistics.missed == 0
 
     simulate(script)
 
@@ -120,7 +121,7 @@ def test_an_axis_that_is_not_disarmed_is_left_as_it_is(state: State) -> None:
         elif state is State.TRIPPED:
             world.drive.change(world.service.uptime_s, fault_code=3)
             await world.until(lambda: axis.state is State.TRIPPED)
-        with pytest.raises(Refused, match=f"the axis is {state}") as refused:
+        with pytest.raises(Refused, match=f"axis x is {state}") as refused:
             world.service.handle(RELOAD)
         assert refused.value.code == "armed"
         assert world.state() is state

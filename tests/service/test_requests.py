@@ -92,7 +92,7 @@ def test_over_the_socket_each_is_refused_with_its_field_and_nothing_moves(tmp_pa
                 assert len(answer["error"]["message"]) < 300, "the number itself is not repeated"
         status = await operator.done(op="status")
         assert (status["axis"]["state"], status["move"], status["trip"]) == ("holding", None, None)
-        assert world.service.tick_missed == 0
+        assert world.service.statistics.missed == 0
 
     serve(path, script)
 

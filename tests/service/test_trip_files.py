@@ -30,14 +30,14 @@ def trip_in_mid_move(
 
     async def script(world: World) -> tuple[Trace, dict[str, Any]]:
         if folder is not None:
-            world.service.reporter.trip_files = TripFiles(folder)
+            world.station.reporter.trip_files = TripFiles(folder)
         await world.cruising()
         await world.seconds(1.0)
         disk()
         world.drive.change(asyncio.get_running_loop().time(), ignores_effort=True, load=-5.0)
         await world.until(lambda: world.state() is State.TRIPPED)
         await world.seconds(0.5)
-        assert world.service.tick_missed == 0
+        assert world.service.statistics.missed == 0
         return world.trace, world.service.snapshot()
 
     return simulate(script, *overrides)
@@ -76,7 +76,7 @@ def test_the_length_is_the_recordings(tmp_path: Path) -> None:
 
 def test_each_trip_has_its_file(tmp_path: Path) -> None:
     async def script(world: World) -> None:
-        world.service.reporter.trip_files = files = TripFiles(tmp_path)
+        world.station.reporter.trip_files = files = TripFiles(tmp_path)
         for number in range(1, 4):
             await world.armed()
             world.axis.raise_trip(TripCode.OVERSPEED, f"number {number}")
@@ -95,7 +95,7 @@ def test_each_trip_has_its_file(tmp_path: Path) -> None:
 
 def test_numbers_that_are_not_finite_are_null_in_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     async def script(world: World) -> None:
-        world.service.reporter.trip_files = TripFiles(tmp_path)
+        world.station.reporter.trip_files = TripFiles(tmp_path)
         await world.cruising()
         step = type(world.axis.law).step
         monkeypatch.setattr(type(world.axis.law), "step", lambda law, sample: step(law, sample) + math.nan)

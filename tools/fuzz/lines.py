@@ -244,12 +244,12 @@ class Desk:
     def __init__(self, bench: Bench, path: Path) -> None:
         service = bench.service
         self.bench = bench
-        self.socket = ControlSocket(path, service.handle, service.desk.leave)
+        self.socket = ControlSocket(path, service.handle, service.snapshot, service.desk.leave)
         self.codes: Counter[str] = Counter()
         self._here, self._there = socket.socketpair()
         writer: Any = _Writer(self._here)
         self._client = control_socket._Client(writer, 1)  # noqa: SLF001 - the seam below a connection
-        service.publishers.append(lambda tick: self.socket.publish(tick.index, service.snapshot))
+        service.publishers.append(lambda tick: self.socket.publish(tick.index))
 
     def ask(self, line: Line) -> dict[str, Any]:
         """Return the checked answer to a line."""
@@ -259,7 +259,7 @@ class Desk:
     def look(self, answer: dict[str, Any], line: Line) -> dict[str, Any]:
         """Count an answer, and check that nothing in the axis has become other than finite by its request."""
         self.codes["ok" if answer["ok"] else answer["error"]["code"]] += 1
-        axis = self.bench.service.axis
+        axis = self.bench.station.axis
         observer = axis.law.observer
         total = observer.position + observer.velocity + observer.disturbance + axis.law.target + axis.law.effort
         if not math.isfinite(total + axis.law.cruise_velocity + axis.law.speed_reference):
@@ -334,7 +334,7 @@ class _Conversation:
         if self._left <= 0:
             await self._end()
             return
-        state = bench.service.axis.state
+        state = bench.station.axis.state
         if rng.random() < 0.3:
             bench.ask(op={State.DISARMED: "arm", State.TRIPPED: "reset"}.get(state, "status"))
         lines = [self._maker.line() for _ in range(min(self._left, rng.randrange(2 * _LINES_A_TICK)))]

@@ -99,7 +99,7 @@ class SocketTarget:
         if not self._waiting.is_set():
             await self._waiting.wait()
         for _ in range(_MOST_TICKS_TO_REST):
-            state = bench.service.axis.state
+            state = bench.station.axis.state
             if state is State.HOLDING:
                 break
             if state in {State.TRIPPED, State.DISARMED}:

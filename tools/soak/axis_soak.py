@@ -41,7 +41,7 @@ class AxisSoak:
         loaded = load(None)
         profile = compile_profile(loaded)
         self.random = Random(seed)  # noqa: S311 - a soak, no secret
-        self.axis: Axis = build_axis(loaded, profile)
+        self.axis: Axis = build_axis(loaded, profile, loaded.config.service.tick_ms / 1e3)
         self.invariants = Invariants(self.axis)
         self.requests = self.refusals = self.trips = self.moves_reached = 0
         self._modulus = profile.counter_modulus

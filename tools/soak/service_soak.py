@@ -57,10 +57,10 @@ class ServiceSoak:
                 if world.serving is not None and world.serving.done():
                     raise BrokenInvariantError(f"the service ended: {world.serving.exception()!r}")
                 self._something_happens(world)
-            self.ticks = world.service.tick_count
+            self.ticks = world.service.statistics.count
 
     def _look(self, world: World) -> None:
-        self.invariants.look(world.service.command, world.drive.position)
+        self.invariants.look(world.station.command, world.drive.position)
         if world.drive.faults.load and not world.drive.enabled:
             world.change(load=0.0)  # an axis that can fall has a brake
         if world.axis.trip is not self._reported_trip:

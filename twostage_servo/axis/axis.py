@@ -6,6 +6,7 @@ from typing import Literal
 
 from twostage_servo.axis.admission import say_tripped
 from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.duration import MoveDuration
 from twostage_servo.axis.homing import Homing
 from twostage_servo.axis.machine import Machine
 from twostage_servo.axis.messages import Move, Refused
@@ -18,7 +19,8 @@ _FAR_S = 3600.0
 class Axis(Machine):
     """An axis as its operator sees it: each request is carried out, or refused with a code and a reason.
 
-    Parameters and attributes as in :class:`~twostage_servo.axis.machine.Machine`.
+    Parameters and attributes as in :class:`~twostage_servo.axis.machine.Machine`; and ``duration``, which tells how
+    long its moves take.
     """
 
     def __init__(
@@ -31,12 +33,25 @@ class Axis(Machine):
         heartbeat: bool = False,
     ) -> None:
         super().__init__(design, counter_modulus, position_period, resolution, heartbeat=heartbeat)
+        self.duration = MoveDuration(design)
         self._move_numbers = itertools.count(1)
 
     # What the operator asks for --------------------------------------------------------------------------------------
 
     def arm(self) -> None:
         """Enable the drive; the axis then holds the position at which it is.
+
+        Raises
+        ------
+        Refused
+            As in :meth:`check_arming`.
+        """
+        self.check_arming()
+        self._ticks_arming = 0
+        self._apply(Event.ARM)
+
+    def check_arming(self) -> None:
+        """Tell whether the axis could be armed.
 
         Raises
         ------
@@ -50,8 +65,6 @@ class Axis(Machine):
             raise Refused("already_armed", f"the axis is armed already ({self.state}).")
         if obstacle := self.obstacle_to_arming():
             raise Refused(*obstacle)
-        self._ticks_arming = 0
-        self._apply(Event.ARM)
 
     def disarm(self) -> None:
         """Bring a moving axis to rest, then disable the drive; an axis at rest is disabled at once."""
@@ -70,6 +83,21 @@ class Axis(Machine):
         Raises
         ------
         Refused
+            As in :meth:`check_move`.
+        """
+        self.check_move(target, velocity)
+        self._end_move("replaced")
+        first = self._first_target(target)
+        self._final_target = target if first != target else None
+        self._begin_leg(first, velocity)
+        return self._new_move("move", target, velocity)
+
+    def check_move(self, target: float, velocity: float) -> None:
+        """Tell whether a set-point could be taken.
+
+        Raises
+        ------
+        Refused
             If the axis is not armed, is stopping, is not homed, a limit switch is in the way, or a number is not finite
             or outside the limits.
         """
@@ -78,11 +106,6 @@ class Axis(Machine):
         check.check_state(self.state, Event.MOVE_SPEED, self.trip)
         check.check_target(target, referenced=self.referenced)
         check.check_switches(target - self.law.observer.position)
-        self._end_move("replaced")
-        first = self._first_target(target)
-        self._final_target = target if first != target else None
-        self._begin_leg(first, velocity)
-        return self._new_move("move", target, velocity)
 
     def move_by(self, distance: float, velocity: float) -> Move:
         """Move relative to the set-point now in force, so that steps add up exactly; else as :meth:`move_to`."""
@@ -169,8 +192,26 @@ class Axis(Machine):
             limits = self.settings.limits
             self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
 
+    @property
+    def can_stop(self) -> bool:
+        """Whether a stop is admitted."""
+        return next_state(self.state, Event.STOP) is not None
+
     def reset(self) -> None:
         """Clear a trip; the axis is disarmed afterwards and needs `arm` and a fresh set-point.
+
+        Raises
+        ------
+        Refused
+            As in :meth:`check_reset`.
+        """
+        self.check_reset()
+        self._apply(Event.RESET)
+        self.trip = self.escalation = None
+        self.trips.clear()
+
+    def check_reset(self) -> None:
+        """Tell whether a trip could be cleared.
 
         Raises
         ------
@@ -181,9 +222,6 @@ class Axis(Machine):
             raise Refused("busy", "the axis is still braking after its trip: `reset` when it is at rest.")
         if next_state(self.state, Event.RESET) is None:
             raise Refused("not_tripped", f"the axis is {self.state}: there is nothing to reset.")
-        self._apply(Event.RESET)
-        self.trip = self.escalation = None
-        self.trips.clear()
 
     def _new_move(self, kind: Literal["move", "jog", "home"], target: float, velocity: float) -> Move:
         self.move = Move(next(self._move_numbers), kind, target, velocity, start=self.law.observer.position)

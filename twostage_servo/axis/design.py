@@ -63,6 +63,11 @@ class AxisDesign:
         """Return the same law on a free-running model of the plant: the response that the axis is designed to give."""
         return self._law(NO_CORRECTION)
 
+    def build_unlimited_law(self) -> TwoStageLaw:
+        """Return the nominal law without any limit: what is linear in it."""
+        observer = DisturbanceObserver(self.plant, NO_CORRECTION)
+        return TwoStageLaw(observer, self.gains, self.period_s)
+
     def build_model_test(self) -> ModelTest:
         """Return the test that compares the plant's answer with the model's."""
         plant = Plant(self.settings.plant.gain, self.settings.plant.pole)

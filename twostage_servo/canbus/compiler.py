@@ -11,7 +11,7 @@ from cantools.database.can import Database
 
 from twostage_servo.canbus.checksum import CHECKSUMS
 from twostage_servo.canbus.codec import MessageCodec
-from twostage_servo.canbus.frame import Frame
+from twostage_servo.canbus.frame import Frame, Identifier
 from twostage_servo.canbus.protocol import (
     CommandSettings,
     FeedbackSettings,
@@ -186,8 +186,21 @@ class Compiler:
     def _frame(self, table: str, message: str, checksum: Role) -> Frame:
         with _key(table, "message"):
             layout = MessageCodec(self._database, message, self._source)
+        with _key("identifier_offset"):
+            identifier = self._shifted(Identifier(layout.identifier, layout.is_extended), message)
         with _key(table, "checksum"):
-            return Frame(layout, (CHECKSUMS[self._settings.checksum], checksum) if checksum is not False else None)
+            algorithm = (CHECKSUMS[self._settings.checksum], checksum) if checksum is not False else None
+            return Frame(layout, algorithm, identifier)
+
+    def _shifted(self, identifier: Identifier, message: str) -> Identifier:
+        shifted = identifier._replace(identifier=identifier.identifier + self._settings.identifier_offset)
+        largest = 0x1FFFFFFF if identifier.extended else 0x7FF
+        if shifted.identifier > largest:
+            raise ValueError(
+                f"{self._source}, message {message}: {identifier} with this offset is more than 0x{largest:X}, the "
+                "largest identifier of its kind"
+            )
+        return shifted
 
 
 def _load(dbc: str, folder: Path) -> tuple[Database, str]:

@@ -56,6 +56,8 @@ class Frame:
         The compiled message.
     checksum
         Algorithm, with the name of the signal that carries it; None when the message has no checksum.
+    identifier
+        Identifier, if it is not that of the layout.
 
     Attributes
     ----------
@@ -72,9 +74,14 @@ class Frame:
 
     __slots__ = ("_checksum", "_checksum_index", "_checksum_name", "_length", "identifier", "layout")
 
-    def __init__(self, layout: MessageCodec, checksum: tuple[Checksum, str] | None = None) -> None:
+    def __init__(
+        self,
+        layout: MessageCodec,
+        checksum: tuple[Checksum, str] | None = None,
+        identifier: Identifier | None = None,
+    ) -> None:
         self.layout = layout
-        self.identifier = Identifier(layout.identifier, layout.is_extended)
+        self.identifier = identifier or Identifier(layout.identifier, layout.is_extended)
         self._length = layout.length
         self._checksum: Checksum | None = checksum[0] if checksum else None
         self._checksum_name = checksum[1] if checksum else ""

@@ -90,6 +90,13 @@ class ProtocolSettings(Settings):
     dbc: str = Field(
         "", description="DBC file, relative to the folder of this file; empty: the shipped servo_drive.dbc"
     )
+    identifier_offset: int = quantity(
+        0,
+        unit="1",
+        description="Added to the identifiers of the DBC, such as a node's number: drives of one kind on one bus",
+        ge=0,
+        le=0x1FFFFFFF,
+    )
     checksum: Literal["crc8_j1850", "xor8", "sum8", "none"] = Field(
         "crc8_j1850", description="Algorithm of the checksum bytes"
     )

@@ -15,7 +15,8 @@ Answer = dict[str, Any]
 _LONGEST_TICK_S = 0.1
 _PARTING_S = 1.0
 _READING = frozenset({"status", "watch", "recording"})
-BAD_USAGE = frozenset({"bad_request", "position_limit", "velocity_limit"})
+_OF_ALL = frozenset({"release", "take", "reload"})
+BAD_USAGE = frozenset({"bad_request", "position_limit", "velocity_limit", "which_axis"})
 """Refusals for which the request alone is to blame, whatever the axis does."""
 
 
@@ -28,10 +29,13 @@ class Client:
         Path of the control socket.
     timeout_s
         Longest wait for an answer.
+    axis
+        Name of the axis that the requests concern, if they name one.
     """
 
-    def __init__(self, path: Path, timeout_s: float = 5.0) -> None:
+    def __init__(self, path: Path, timeout_s: float = 5.0, axis: str | None = None) -> None:
         self.path = path
+        self._named = {} if axis is None else {"axis": axis}
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout_s)
         self._timeout_s = timeout_s
@@ -74,6 +78,8 @@ class Client:
             If the service refuses it or does not answer.
         """
         self._has_commanded = self._has_commanded or fields.get("op") not in _READING
+        if fields["op"] not in _OF_ALL:
+            fields |= self._named
         try:
             self._socket.sendall(json.dumps(fields, allow_nan=False).encode() + b"\n")
         except ValueError as error:

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from twostage_servo.config import Config, LoadedConfig
+    from twostage_servo.machine import Machine
 
 
 def add_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
@@ -45,6 +46,20 @@ def load_configuration(options: argparse.Namespace) -> "LoadedConfig[Config]":
 
     with configuration_problems():
         return load(find_configuration(options.config), options.overrides)
+
+
+def load_machine(options: argparse.Namespace) -> "Machine":
+    """Load what the options name: the configuration of an axis, or of a machine of several.
+
+    Raises
+    ------
+    CommandError
+        With every problem of the configuration.
+    """
+    from twostage_servo import machine
+
+    with configuration_problems():
+        return machine.load_machine(find_configuration(options.config), options.overrides)
 
 
 @contextmanager

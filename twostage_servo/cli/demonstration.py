@@ -67,8 +67,9 @@ class Demonstration:
         self._progress = progress
         self._bus = BusSettings(interface="virtual", channel="twostage-servo-demo")
         self._service = build_service(loaded, self._bus)
+        self._station = self._service.station()
         self._service.publishers.append(self._on_tick)
-        self._service.frame_observers.append(self._on_frame)
+        self._station.port.observers.append(self._on_frame)
         self._hash = hashlib.sha256()
         self._drive: SimulatedDrive | None = None
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
@@ -77,13 +78,13 @@ class Demonstration:
     @property
     def profile(self) -> DriveProfile:
         """The compiled protocol, with the quanta of its signals."""
-        return self._service.profile
+        return self._station.profile
 
     async def run(self) -> None:
         """Run the whole demo on the running loop."""
         simulation = self._config.simulation
-        self._drive = SimulatedDrive(simulation, self._service.profile, asyncio.get_running_loop().time())
-        link = Link(self._bus, self._service.profile.drive_identifiers)
+        self._drive = SimulatedDrive(simulation, self._station.profile, asyncio.get_running_loop().time())
+        link = Link(self._bus, self._station.profile.drive_identifiers)
         node = DriveNode(self._drive, link, simulation.cycle_ms / 1e3)
         async with asyncio.TaskGroup() as group:
             group.create_task(node.run())
@@ -97,7 +98,7 @@ class Demonstration:
             node.stop()
 
     async def _operate(self) -> None:
-        axis = self._service.axis
+        axis = self._station.axis
         if not await self._until(lambda: axis.ready_to_arm, _READY_S):
             self.failure = f"no feedback from the simulated drive within {_READY_S:g} s"
             return
@@ -128,12 +129,12 @@ class Demonstration:
 
     def _on_tick(self, tick: Tick) -> None:
         assert self._drive is not None  # noqa: S101 - run() has made it
-        service, axis, observer = self._service, self._service.axis, self._service.axis.law.observer
+        service, axis, observer = self._service, self._station.axis, self._station.axis.law.observer
         self.samples.append(
             Sample(
                 tick.index * service.ticks.period_s, axis.state, axis.law.changeovers, self._drive.position,
                 self._drive.velocity, axis.drive.position, observer.position, observer.velocity,
-                observer.disturbance, service.command.effort, axis.law.speed_reference, axis.following_error,
+                observer.disturbance, self._station.command.effort, axis.law.speed_reference, axis.following_error,
             )
         )  # fmt: skip
         if self._move is not None and tick.index % 5 == 0:
@@ -157,16 +158,18 @@ class Demonstration:
 
     def result(self) -> dict[str, Any]:
         """Return the contract's JSON object."""
-        service, trip = self._service, self._service.axis.trip
+        service, trip = self._service, self._station.axis.trip
         return {
             "target": self._target,
             **self._score(),
             "ticks": {
-                "count": service.tick_count,
-                "missed": service.tick_missed,
-                "lateness_us": service.lateness.summary(),
+                "count": service.statistics.count,
+                "missed": service.statistics.missed,
+                "lateness_us": service.statistics.lateness.summary(),
             },
-            "frames": {name: getattr(service.link.counters, name) for name in ("received", "sent", "rejected")},
+            "frames": {
+                name: getattr(self._station.port.link.counters, name) for name in ("received", "sent", "rejected")
+            },
             "trip": None if trip is None else {"code": trip.code, "cause": trip.cause, "next_action": trip.next_action},
             "failure": self.failure,
             "trace_sha256": self._hash.hexdigest(),
@@ -211,5 +214,5 @@ class Demonstration:
         return None
 
     def _sent(self, effort: float) -> float:
-        quantum = self._service.profile.effort_quantum
+        quantum = self._station.profile.effort_quantum
         return round(effort / quantum) * quantum if quantum else effort

@@ -12,6 +12,8 @@ from twostage_servo.cli.configuration import find_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from twostage_servo.cli.client import Answer, Client
 
 _ARMED = {
@@ -35,7 +37,12 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     _verb(verbs, "disarm", _disarm, "bring the axis to rest and disable the drive")
     move = _verb(verbs, "move", _move, "move to a set-point")
     move._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - argparse takes -1e3 for an option
-    move.add_argument("position", type=float, nargs="?", help="absolute set-point, in the axis' unit")
+    move.add_argument(
+        "position",
+        type=_set_point,
+        nargs="*",
+        help="absolute set-point, in the axis' unit; NAME=POSITION for each of several axes, which arrive together",
+    )
     move.add_argument("--by", type=float, metavar="DISTANCE", help="relative to the set-point in force")
     move.add_argument("--velocity", type=float, help="cruise velocity (default: the config's axis.cruise_velocity)")
     move.add_argument("--wait", action="store_true", help="show progress until the position is reached")
@@ -48,7 +55,9 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     home.add_argument(
         "--here", type=float, metavar="POSITION", help="do not search: the axis stands at this position now"
     )
-    stop = _verb(verbs, "stop", _stop, "bring the axis to rest and hold it there, whoever commands it")
+    stop = _verb(
+        verbs, "stop", _stop, "bring the axis, or all axes, to rest and hold them there, whoever commands them"
+    )
     stop.add_argument("--quick", action="store_true", help="with the quick stop deceleration")
     _verb(verbs, "reset", _reset, "clear a trip; the axis is disarmed afterwards")
     _verb(verbs, "release", _release, "take the lease from whoever holds it, while the axis is at rest")
@@ -57,6 +66,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 def _verb(verbs: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    if name not in {"release", "reload"}:
+        parser.add_argument("--axis", metavar="NAME", help="which axis, where the service has several")
     parser.add_argument("--socket", type=Path, metavar="PATH", help="control socket of the service")
     parser.add_argument("--config", type=Path, metavar="FILE", help="take the socket's path from this configuration")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -64,12 +75,27 @@ def _verb(verbs: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser
     return parser
 
 
+def _set_point(text: str) -> tuple[str | None, float]:
+    name, equals, number = text.rpartition("=")
+    return (name if equals else None), float(number)
+
+
 def _connect(options: argparse.Namespace) -> "Client":
     from twostage_servo.cli.client import Client
     from twostage_servo.service.address import find_socket
 
     path = options.socket or _socket_of(options.config) or find_socket()
-    return Client(path)
+    return Client(path, axis=getattr(options, "axis", None))
+
+
+def _reports(answer: "Answer") -> "dict[str, Answer]":
+    """Return what an answer says of each axis."""
+    axes: dict[str, Answer] = answer.get("axes") or {answer["axis"]["name"]: answer}
+    return axes
+
+
+def _states(answer: "Answer") -> set[str]:
+    return {report["axis"]["state"] for report in _reports(answer).values()}
 
 
 def _socket_of(config: Path | None) -> Path | None:
@@ -101,7 +127,7 @@ def _status(options: argparse.Namespace) -> ExitCode:
         print_json(status)
     else:
         print_line(_describe(status))
-    return ExitCode.FAILED if status["trip"] else ExitCode.DONE
+    return ExitCode.FAILED if any(report["trip"] for report in _reports(status).values()) else ExitCode.DONE
 
 
 def _write_csv(path: Path, fields: list[str], records: list[list[Any]]) -> None:
@@ -123,7 +149,7 @@ def _watch(options: argparse.Namespace) -> ExitCode:
             if options.json:
                 print_json(snapshot)
             else:
-                print_line(_one_line(snapshot))
+                print_line(_lines(snapshot))
     return ExitCode.DONE
 
 
@@ -191,7 +217,7 @@ def _home(options: argparse.Namespace) -> ExitCode:
         answer = client.request(op="home")
         if answer["axis"]["state"] != "homing":  # the place where the axis stands is the reference
             return _finish(options, answer)
-        return _finish(options, _follow(client, answer["move"]["number"], quiet=options.json), moved=True)
+        return _finish(options, _follow(client, answer, quiet=options.json), moved=True)
 
 
 def _release(options: argparse.Namespace) -> ExitCode:
@@ -211,30 +237,45 @@ def _reset(options: argparse.Namespace) -> ExitCode:
 
 
 def _move(options: argparse.Namespace) -> ExitCode:
-    if (options.position is None) == (options.by is None):
-        raise CommandError(ExitCode.USAGE, "usage", "give either a position or --by DISTANCE")
-    wanted = {"position": options.position, "by": options.by, "velocity": options.velocity}
+    wanted = {**_wanted(options), "velocity": options.velocity}
     with _connect(options) as client:
         answer = client.request(op="move", **{key: value for key, value in wanted.items() if value is not None})
         if options.wait:
-            answer = _follow(client, answer["move"]["number"], quiet=options.json)
+            answer = _follow(client, answer, options.wanted, quiet=options.json)
     return _finish(options, answer, moved=True)
 
 
-def _follow(client: "Client", number: int, *, quiet: bool) -> "Answer":
+def _wanted(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the set-point that was asked for as the request has it."""
+    names = [name for name, _ in options.position]
+    options.wanted = [name for name in names if name is not None]
+    if (len(names) == 0) == (options.by is None) or len(set(names)) < len(names) or (None in names and len(names) > 1):
+        text = "give one position, or NAME=POSITION for each of several axes, or --by DISTANCE"
+        raise CommandError(ExitCode.USAGE, "usage", text)
+    if names == [None]:
+        return {"position": options.position[0][1]}
+    return {"positions": dict(options.position)} if names else {"by": options.by}
+
+
+def _follow(client: "Client", begun: "Answer", names: "Sequence[str]" = (), *, quiet: bool) -> "Answer":
+    """Show progress until the moves that an answer tells of, of all axes or of those named, have ended."""
     progress = Progress(quiet=quiet)
+    numbers = {name: report["move"]["number"] for name, report in _reports(begun).items() if not names or name in names}
     snapshot: Answer = {}
     try:
         for snapshot in client.watch(5):
-            progress.show(_progress_line(snapshot))
-            if snapshot["move"] is None or snapshot["move"]["number"] != number:
+            reports = {name: _reports(snapshot)[name] for name in numbers}
+            progress.show("  ".join(map(_progress_line, reports.values())))
+            if any(
+                report["move"] is None or report["move"]["number"] != numbers[name] for name, report in reports.items()
+            ):
                 raise CommandError(
                     ExitCode.FAILED,
                     "replaced",
                     "another client's set-point has replaced this one",
                     {"status": snapshot},
                 )
-            if snapshot["move"]["outcome"] != "moving":
+            if all(report["move"]["outcome"] != "moving" for report in reports.values()):
                 break
     except KeyboardInterrupt:
         note("\nno longer watching; the axis goes on to its set-point. `twostage-servo stop` stops it.")
@@ -247,8 +288,8 @@ def _follow(client: "Client", number: int, *, quiet: bool) -> "Answer":
 def _wait_while(client: "Client", states: set[str]) -> "Answer":
     """Return the first state that is none of these; the service bounds each of them, or the operator with Ctrl-C."""
     status = client.request(op="status")
-    if status["axis"]["state"] in states:
-        status = next(seen for seen in client.watch(1) if seen["axis"]["state"] not in states)
+    if _states(status) & states:
+        status = next(seen for seen in client.watch(1) if not _states(seen) & states)
     return {"ok": True} | status
 
 
@@ -256,16 +297,21 @@ def _finish(options: argparse.Namespace, status: "Answer", *, moved: bool = Fals
     if options.json:
         print_json(status)
     else:
-        print_line(_one_line(status))
-    if options.verb == "arm" and status["axis"]["state"] != "holding":
+        print_line(_lines(status))
+    reports = _reports(status).values()
+    if options.verb == "arm" and _states(status) != {"holding"}:
         return ExitCode.FAILED
-    not_reached = moved and status["move"] is not None and status["move"]["outcome"] in {"stopped", "tripped"}
-    failed = status["trip"] or not_reached
+    not_reached = moved and any(one["move"] and one["move"]["outcome"] in {"stopped", "tripped"} for one in reports)
+    failed = any(one["trip"] for one in reports) or not_reached
     return ExitCode.FAILED if failed and options.verb != "disarm" else ExitCode.DONE
 
 
 def _number(value: float | None, unit: str) -> str:
     return f"unknown {unit}" if value is None else f"{value:.3f} {unit}"
+
+
+def _lines(status: "Answer") -> str:
+    return "\n".join(map(_one_line, _reports(status).values()))
 
 
 def _one_line(status: "Answer") -> str:
@@ -295,15 +341,32 @@ def _progress_line(snapshot: "Answer") -> str:
 
 
 def _describe(status: "Answer") -> str:
-    axis, ticks, frames, bus = status["axis"], status["ticks"], status["frames"], status["bus"]
-    lateness = ticks["lateness_us"]
-    rows = [
+    rows = [row for report in _reports(status).values() for row in _rows_of_axis(report)]
+    ticks = status["ticks"]
+    lateness, whole = ticks["lateness_us"], ticks["duration_us"]["whole"]
+    rows += [
+        ("commanded by", status["lease"]["holder"] or "nobody"),
+        (
+            "ticks",
+            (
+                f"{ticks['count']}, {ticks['missed']} missed; lateness p50 {lateness['p50']:g}, "
+                f"p99 {lateness['p99']:g}, max {lateness['max']:g} µs; duration p50 {whole['p50']:g}, "
+                f"p99 {whole['p99']:g} µs"
+            ),
+        ),
+        ("service", f"version {status['version']}, process {status['pid']}, up {status['uptime_s']:.0f} s"),
+    ]
+    return "\n".join(f"{name:16} {text}" for name, text in rows)
+
+
+def _rows_of_axis(status: "Answer") -> list[tuple[str, str]]:
+    axis, frames, bus = status["axis"], status["frames"], status["bus"]
+    return [
         ("axis", _one_line(status)),
         ("effort", f"{axis['effort']:.3f} {axis['effort_unit']}" + (" (at its limit)" if axis["saturated"] else "")),
         ("following error", f"{axis['following_error']:.3f} {axis['unit']}"),
         ("bus", f"open, controller {bus['controller']}" if bus["open"] else f"closed: {bus['error']}"),
         ("drive inputs", ", ".join(name for name, active in status["inputs"].items() if active) or "none active"),
-        ("commanded by", status["lease"]["holder"] or "nobody"),
         (
             "frames",
             (
@@ -311,13 +374,4 @@ def _describe(status: "Answer") -> str:
                 f"{frames['lost']} lost, {frames['dropped']} dropped"
             ),
         ),
-        (
-            "ticks",
-            (
-                f"{ticks['count']}, {ticks['missed']} missed; lateness p50 {lateness['p50']:g}, "
-                f"p99 {lateness['p99']:g}, max {lateness['max']:g} µs"
-            ),
-        ),
-        ("service", f"version {status['version']}, process {status['pid']}, up {status['uptime_s']:.0f} s"),
     ]
-    return "\n".join(f"{name:16} {text}" for name, text in rows)

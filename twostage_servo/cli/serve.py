@@ -5,14 +5,16 @@ import contextlib
 import signal
 from typing import TYPE_CHECKING, Any
 
-from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
+from twostage_servo.cli.configuration import add_options, configuration_problems, load_machine
 from twostage_servo.cli.output import CommandError, ExitCode, print_json
 
 if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable
 
-    from twostage_servo.config import Config, LoadedConfig
+    from twostage_servo.canbus.profile import DriveProfile
+    from twostage_servo.config import Config
+    from twostage_servo.machine import Machine
     from twostage_servo.service.loop import ServoService
     from twostage_servo.service.notify import Notifier
     from twostage_servo.ticks import Tick
@@ -43,13 +45,13 @@ def _run(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.service.log import open_log
     from twostage_servo.ticks import real_time_loop
 
-    loaded = _load_for_processes(options)
-    writer = open_log(loaded.config.service.log_level)
+    machine = _load_for_processes(options)
+    writer = open_log(machine.service.log_level)
     try:
         with configuration_problems():
-            service = build_service(loaded)
+            service = build_service(machine)
         with asyncio.Runner(loop_factory=real_time_loop) as runner:
-            runner.run(_serve(service, loaded, options))
+            runner.run(_serve(service, machine, options))
     finally:
         writer.close()
     if options.json:
@@ -57,19 +59,20 @@ def _run(options: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE
 
 
-def _load_for_processes(options: argparse.Namespace) -> "LoadedConfig[Config]":
-    loaded = load_configuration(options)
-    if loaded.config.bus.interface == "virtual":
-        message = (
-            "the virtual bus exists inside one process only, so service and drive would never meet on it; `demo` uses "
-            "it, and two_processes.toml has a bus between processes"
-        )
-        with configuration_problems():
-            raise loaded.problem(("bus", "interface"), message)
-    return loaded
+def _load_for_processes(options: argparse.Namespace) -> "Machine":
+    machine = load_machine(options)
+    for loaded in machine.axes:
+        if loaded.config.bus.interface == "virtual":
+            message = (
+                "the virtual bus exists inside one process only, so service and drive would never meet on it; `demo` "
+                "uses it, and two_processes.toml has a bus between processes"
+            )
+            with configuration_problems():
+                raise loaded.problem(("bus", "interface"), message)
+    return machine
 
 
-async def _serve(service: "ServoService", loaded: "LoadedConfig[Config]", options: argparse.Namespace) -> None:
+async def _serve(service: "ServoService", machine: "Machine", options: argparse.Namespace) -> None:
     import asyncio
     from pathlib import Path
 
@@ -80,20 +83,23 @@ async def _serve(service: "ServoService", loaded: "LoadedConfig[Config]", option
     from twostage_servo.service.notify import Notifier
     from twostage_servo.service.trip_files import TripFiles, default_folder
 
-    path = socket_path(loaded.config)
+    path = socket_path(machine.service)
     notifier, loop = Notifier(), asyncio.get_running_loop()
-    service.reporter.trip_files = TripFiles(Path(loaded.config.service.trip_folder or default_folder()))
-    service.desk.reload = lambda: _reload(service, loaded, options)
-    control = ControlSocket(path, service.handle, service.desk.leave)
+    trip_files = TripFiles(Path(machine.service.trip_folder or default_folder()))
+    for station in service.stations:
+        station.reporter.trip_files = trip_files
+    service.desk.reload = lambda: _reload(service, machine, options)
+    control = ControlSocket(path, service.handle, service.snapshot, service.desk.leave)
     try:
         await control.start()
     except OSError as error:
         raise CommandError(ExitCode.USAGE, "socket", f"the control socket cannot be made at {path}: {error}") from error
-    service.publishers.append(lambda tick: control.publish(tick.index, service.snapshot))
+    service.publishers.append(lambda tick: control.publish(tick.index))
     service.publishers.append(_feeder(service, notifier, loop))
     _on_signals(service.shut_down)
     notifier.ready()
-    structlog.get_logger().info("listening", socket=str(path), config=loaded.source, axis=loaded.config.axis.name)
+    names = [station.name for station in service.stations]
+    structlog.get_logger().info("listening", socket=str(path), config=machine.source, axes=names)
     try:
         await service.run()
     finally:
@@ -114,19 +120,20 @@ def _feeder(
     return feed
 
 
-def _reload(service: "ServoService", running: "LoadedConfig[Config]", options: argparse.Namespace) -> None:
+def _reload(service: "ServoService", running: "Machine", options: argparse.Namespace) -> None:
     """Read the configuration again; what is wrong with it is refused, and the service goes on as it was."""
     import structlog
 
     from twostage_servo.axis.messages import Refused
     from twostage_servo.config import ConfigError
-    from twostage_servo.service.assembly import reload_axis
+    from twostage_servo.service.assembly import reload_machine
 
     try:
-        fresh = load_configuration(options)
-        reload_axis(service, running, fresh)
+        fresh = load_machine(options)
+        reload_machine(service, running, fresh)
     except (CommandError, ConfigError) as error:
         raise Refused("config", str(error)) from error
+    service.desk.reload = lambda: _reload(service, fresh, options)
     structlog.get_logger().info("configuration read again", config=fresh.source)
 
 
@@ -137,46 +144,73 @@ def _drive(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.service.log import open_log
     from twostage_servo.ticks import real_time_loop
 
-    loaded = _load_for_processes(options)
-    writer = open_log(loaded.config.service.log_level)
+    machine = _load_for_processes(options)
+    writer = open_log(machine.service.log_level)
     try:
         with configuration_problems():
-            profile = compile_profile(loaded)
+            profiles = [compile_profile(loaded) for loaded in machine.axes]
         with asyncio.Runner(loop_factory=real_time_loop) as runner:
-            summary = runner.run(_simulate(loaded.config, profile))
+            summaries = runner.run(_simulate([loaded.config for loaded in machine.axes], profiles))
     finally:
         writer.close()
     if options.json:
-        print_json(summary)
+        print_json(summaries[0] if len(summaries) == 1 else {"drives": summaries})
     return ExitCode.DONE
 
 
-async def _simulate(config: "Config", profile: Any) -> dict[str, Any]:
+async def _simulate(configs: "list[Config]", profiles: "list[DriveProfile]") -> list[dict[str, Any]]:
     import asyncio
     import dataclasses
 
-    import structlog
-
-    from twostage_servo.canbus.hub import Hub
     from twostage_servo.canbus.link import Link
     from twostage_servo.simulation.drive import SimulatedDrive
     from twostage_servo.simulation.node import DriveNode
 
-    drive = SimulatedDrive(config.simulation, profile, asyncio.get_running_loop().time())
-    node = DriveNode(drive, Link(config.bus, profile.drive_identifiers), config.simulation.cycle_ms / 1e3)
+    now_s = asyncio.get_running_loop().time()
+    drives = [
+        SimulatedDrive(config.simulation, profile, now_s) for config, profile in zip(configs, profiles, strict=True)
+    ]
+    nodes = [
+        DriveNode(drive, Link(config.bus, profile.drive_identifiers), config.simulation.cycle_ms / 1e3)
+        for drive, config, profile in zip(drives, configs, profiles, strict=True)
+    ]
+
+    def stop() -> None:
+        for node in nodes:
+            node.stop()
+
     async with contextlib.AsyncExitStack() as stack:
-        if config.bus.interface == "socketcand" and config.simulation.hub:
-            options = config.bus.options
-            hub = Hub(str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
-            try:
-                await hub.start()
-            except (OSError, ValueError) as error:
-                raise CommandError(ExitCode.USAGE, "hub", f"the loopback bus cannot be served: {error}") from error
-            stack.push_async_callback(hub.stop)
-            structlog.get_logger().info("serving the loopback bus", host=hub.host, port=hub.port)
-        _on_signals(node.stop)
-        await node.run()
-    return {"position": drive.position, "velocity": drive.velocity, "counters": dataclasses.asdict(drive.counters)}
+        for config in {(config.bus.interface, config.bus.channel): config for config in configs}.values():
+            await _serve_bus(config, stack)
+        _on_signals(stop)
+        await asyncio.gather(*(node.run() for node in nodes))
+    return [
+        {
+            "axis": config.axis.name,
+            "position": drive.position,
+            "velocity": drive.velocity,
+            "counters": dataclasses.asdict(drive.counters),
+        }
+        for drive, config in zip(drives, configs, strict=True)
+    ]
+
+
+async def _serve_bus(config: "Config", stack: contextlib.AsyncExitStack) -> None:
+    """Serve the loopback bus between processes, if the configuration says so."""
+    import structlog
+
+    from twostage_servo.canbus.hub import Hub
+
+    if config.bus.interface != "socketcand" or not config.simulation.hub:
+        return
+    options = config.bus.options
+    hub = Hub(str(options.get("host", "127.0.0.1")), int(options.get("port", 29536)))
+    try:
+        await hub.start()
+    except (OSError, ValueError) as error:
+        raise CommandError(ExitCode.USAGE, "hub", f"the loopback bus cannot be served: {error}") from error
+    stack.push_async_callback(hub.stop)
+    structlog.get_logger().info("serving the loopback bus", host=hub.host, port=hub.port)
 
 
 def _on_signals(stop: "Callable[[], None]") -> None:

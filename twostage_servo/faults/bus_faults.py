@@ -25,7 +25,7 @@ def on_feedback(world: World, act: Callable[[int, can.Message], Deliveries]) -> 
 
     def disturb(sender: str, message: can.Message, _: float) -> Deliveries:
         nonlocal seen
-        if sender != DRIVE or not world.service.profile.is_feedback(message):
+        if sender != DRIVE or not world.station.profile.is_feedback(message):
             return [(0.0, message)]
         seen += 1
         return act(seen - 1, message)
@@ -121,7 +121,7 @@ def interface_down(world: World, _: Random) -> None:
 
 def babble(world: World, random: Random) -> None:
     """Let a node send 150 frames of other identifiers a tick, for half a second."""
-    node, profile = world.wire.node(SERVICE), world.service.profile
+    node, profile = world.wire.node(SERVICE), world.station.profile
     known = {one.identifier for one in (*profile.controller_identifiers, profile.command_id)}
     others = [number for number in range(0x800) if number not in known]
     end_s = world.now_s + 0.5
@@ -137,7 +137,7 @@ def babble(world: World, random: Random) -> None:
 
 def foreign_command(world: World, _: Random) -> None:
     """Let another node command the drive, for a second: to be disabled, so that nothing else comes of it."""
-    profile = world.service.profile
+    profile = world.station.profile
     node = world.wire.node(SERVICE)
     end_s = world.now_s + 1.0
     counter = 0
@@ -154,7 +154,7 @@ def foreign_command(world: World, _: Random) -> None:
 
 def malformed(world: World, random: Random) -> None:
     """Send frames with the feedback's number and a wrong length, kind or identifier, beside the good ones."""
-    profile = world.service.profile
+    profile = world.station.profile
     number, extended = profile.feedback_id
     data = random.randbytes(8)
     node = world.wire.node(SERVICE)

@@ -18,14 +18,14 @@ def arrived(world: World) -> str | None:
 
 def bus_error_reported(world: World) -> str | None:
     """Check that the controller's state is known."""
-    state = world.service.link.controller_state
+    state = world.station.port.link.controller_state
     return None if state == "passive" else f"the controller's state is reported as {state}"
 
 
 def came_back_disarmed(world: World) -> str | None:
     """Check that the bus is open again, and nothing has been armed by that."""
-    if world.service.bus_error is not None:
-        return f"the bus is not open again: {world.service.bus_error}"
+    if world.station.port.error is not None:
+        return f"the bus is not open again: {world.station.port.error}"
     if world.axis.state not in {State.TRIPPED, State.DISARMED, State.HOLDING}:
         return f"the axis is {world.axis.state}"
     return "the drive is enabled" if world.axis.state is State.TRIPPED and world.drive.enabled else None
@@ -33,7 +33,7 @@ def came_back_disarmed(world: World) -> str | None:
 
 def rejected_some(world: World) -> str | None:
     """Check that the frames were counted, each with a reason."""
-    counters = world.service.link.counters
+    counters = world.station.port.link.counters
     if counters.rejected == 0:
         return "no frame was counted as rejected"
     by_reason = sum(counters.rejected_by_reason.values())

@@ -139,7 +139,7 @@ def roll_over_ahead(world: World) -> None:
 
     To be called while the axis is disarmed and at rest.
     """
-    period = world.service.profile.position_period
+    period = world.station.profile.position_period
     place = world.drive.position
     offset = period / 2.0 - place - world.roll_over_in
     world.change(measure=lambda position: position + offset)

@@ -69,8 +69,8 @@ def full_disk(world: World, _: Random) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
     files = TripFiles(Path(tempfile.gettempdir()) / "nowhere", no_space)
-    world.service.reporter.trip_files = files
-    _for_ticks(world, 20, lambda: files.write("full", {}, world.service.recorder.records()))
+    world.station.reporter.trip_files = files
+    _for_ticks(world, 20, lambda: files.write("full", {}, world.station.recorder.records()))
 
 
 def blocked_log(world: World, _: Random) -> None:

@@ -64,7 +64,7 @@ class World:
 
     Attributes
     ----------
-    service, drive, wire, ticks
+    service, station, drive, wire, ticks
         The parts, each with its own ways to fail.
     wall_offset_s
         How far the clock that stamps the frames has been set, in s.
@@ -88,13 +88,14 @@ class World:
         loop = asyncio.get_running_loop()
         self.wall_offset_s = 0.0
         self.wire = Wire(lambda: loop.time() + self.wall_offset_s)
-        self.service: ServoService = build_service(loaded, _BUS, functools.partial(self.wire.attach, SERVICE))
+        self.service: ServoService = build_service(loaded, _BUS, lambda _: self.wire.attach(SERVICE))
+        self.station = self.service.station()
         self.ticks = HeldTicks(self.service.ticks.period_s)
         self.service.ticks = self.ticks
         self.service.publishers.append(self._on_tick)
         settings = loaded.config.simulation
-        self.drive = SimulatedDrive(settings, self.service.profile, loop.time())
-        link = Link(_BUS, self.service.profile.drive_identifiers, functools.partial(self.wire.attach, DRIVE))
+        self.drive = SimulatedDrive(settings, self.station.profile, loop.time())
+        link = Link(_BUS, self.station.profile.drive_identifiers, functools.partial(self.wire.attach, DRIVE))
         self.node = DriveNode(self.drive, link, settings.cycle_ms / 1e3)
         self.samples: list[Sample] = []
         self.keeps_samples = True
@@ -113,7 +114,7 @@ class World:
     @property
     def axis(self) -> Axis:
         """The axis."""
-        return self.service.axis
+        return self.station.axis
 
     @property
     def now_s(self) -> float:
@@ -155,9 +156,12 @@ class World:
         if self._socket is None:
             self._folder = tempfile.TemporaryDirectory(prefix="twostage-servo-")
             self._socket = control = ControlSocket(
-                Path(self._folder.name) / "control.sock", self.service.handle, self.service.desk.leave
+                Path(self._folder.name) / "control.sock",
+                self.service.handle,
+                self.service.snapshot,
+                self.service.desk.leave,
             )
-            self.service.publishers.append(lambda tick: control.publish(tick.index, self.service.snapshot))
+            self.service.publishers.append(lambda tick: control.publish(tick.index))
             await self._socket.start()
         reader, writer = await asyncio.open_unix_connection(str(self._socket.path), limit=1 << 20)
         try:
@@ -202,7 +206,7 @@ class World:
 
     def _on_tick(self, _: Tick) -> None:
         now_s = self.now_s
-        drive, effort = self.drive, self.service.command.effort
+        drive, effort = self.drive, self.station.command.effort
         if self.keeps_samples:
             self.samples.append(Sample(now_s, drive.position, drive.velocity, effort, str(self.axis.state)))
         if self._waiting is not None:

@@ -1,7 +1,9 @@
 """Puts a service together from a loaded configuration; what does not fit is an error with file, line and key."""
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import can
 
@@ -10,15 +12,24 @@ from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.canbus.profile import DriveProfile, ProtocolError
 from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.machine import Machine
 from twostage_servo.service.address import own_socket
 from twostage_servo.service.loop import ServoService
+from twostage_servo.service.port import Port
+from twostage_servo.service.settings import ServiceSettings
+from twostage_servo.service.station import Station
+
+if TYPE_CHECKING:
+    from twostage_servo.canbus.frame import Identifier
+
+_RESTART = "has changed: only a restart of the service can follow that"
 
 _ECHOING = frozenset({"udp_multicast"})
 """Interfaces of python-can on which a sender hears its own frames, whatever it asks for."""
 
 
-def design(loaded: LoadedConfig[Config]) -> AxisDesign:
-    """Design the axis' law and observer.
+def design(loaded: LoadedConfig[Config], tick_s: float | None = None) -> AxisDesign:
+    """Design the axis' law and observer, on the configuration's own tick or another one, in s.
 
     Raises
     ------
@@ -27,7 +38,7 @@ def design(loaded: LoadedConfig[Config]) -> AxisDesign:
     """
     config = loaded.config
     try:
-        return design_axis(config.axis, config.service.tick_ms / 1e3)
+        return design_axis(config.axis, config.service.tick_ms / 1e3 if tick_s is None else tick_s)
     except DesignError as error:
         raise loaded.problem(error.key, str(error)) from error
 
@@ -65,8 +76,8 @@ def _check_effort(loaded: LoadedConfig[Config], profile: DriveProfile) -> None:
         )
 
 
-def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile) -> Axis:
-    """Return the axis that a configuration describes, disarmed.
+def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: float) -> Axis:
+    """Return the axis that a configuration describes, disarmed, on a tick of so many seconds.
 
     Raises
     ------
@@ -75,7 +86,7 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile) -> Axis:
     """
     _check_encoder(loaded, profile)
     return Axis(
-        design(loaded),
+        design(loaded, tick_s),
         profile.counter_modulus,
         profile.position_period,
         profile.position_quantum,
@@ -98,55 +109,104 @@ def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile) -> None:
 
 
 def build_service(
-    loaded: LoadedConfig[Config],
+    machine: Machine | LoadedConfig[Config],
     bus: BusSettings | None = None,
-    opener: Callable[[], can.BusABC] | None = None,
+    opener: Callable[[BusSettings], can.BusABC] | None = None,
 ) -> ServoService:
-    """Return the service that a configuration describes, its bus not yet open.
+    """Return the service that a configuration describes, its buses not yet open.
 
     Parameters
     ----------
-    loaded
-        The configuration.
+    machine
+        The configuration, of several axes or of one.
     bus
-        A bus to use in place of the configured one.
+        A bus to use in place of the configured ones.
     opener
-        What makes the bus, in place of python-can: a simulated one.
+        What makes the bus of these settings, in place of python-can: a simulated one.
 
     Raises
     ------
     ConfigError
         If the parts do not fit together.
     """
+    if isinstance(machine, LoadedConfig):
+        machine = Machine.of(machine)
+    stations: dict[tuple[str, str | int], list[tuple[LoadedConfig[Config], Station]]] = {}
+    for loaded in machine.axes:
+        on = bus or loaded.config.bus
+        station = _build_station(loaded, machine)
+        stations.setdefault((on.interface, on.channel), []).append((loaded, station))
+    ports = [_build_port(members, bus, opener, machine.service.tick_ms / 1e3) for members in stations.values()]
+    return ServoService(machine.service, ports, machine.when_one_trips)
+
+
+def _build_station(loaded: LoadedConfig[Config], machine: Machine) -> Station:
     profile = compile_profile(loaded)
-    axis = build_axis(loaded, profile)
-    bus = bus or loaded.config.bus
-    heard = list(profile.controller_identifiers)
-    if bus.interface not in _ECHOING:
-        heard.append(profile.command_id)  # which only somebody else can have sent
+    tick_s = machine.service.tick_ms / 1e3
     dated = loaded.config.protocol.feedback.sampling == "cyclic"
-    return ServoService(loaded.config.service, axis, profile, Link(bus, heard, opener), dated=dated)
+    axis = build_axis(loaded, profile, tick_s)
+    return Station(axis, profile, tick_s, machine.service.recording_s, dated=dated)
 
 
-def reload_axis(service: ServoService, running: LoadedConfig[Config], fresh: LoadedConfig[Config]) -> None:
-    """Give a service whose axis is disarmed the axis of a configuration that was read again.
+def _build_port(
+    members: list[tuple[LoadedConfig[Config], Station]],
+    bus: BusSettings | None,
+    opener: Callable[[BusSettings], can.BusABC] | None,
+    tick_s: float,
+) -> Port:
+    settings = bus or members[0][0].config.bus
+    owners: dict[int, str] = {}
+    heard: list[Identifier] = []
+    for loaded, station in members:
+        profile = station.profile
+        for identifier in (*profile.controller_identifiers, profile.command_id):
+            if identifier.identifier in owners:
+                raise loaded.problem(
+                    ("protocol",),
+                    f"{owners[identifier.identifier]} uses identifier {identifier} on this bus as well: give each "
+                    "drive its own (protocol.identifier_offset, or another DBC)",
+                )
+            owners[identifier.identifier] = f"axis {station.name} ({loaded.source})"
+        heard += profile.controller_identifiers
+        if settings.interface not in _ECHOING:
+            heard.append(profile.command_id)  # which only somebody else can have sent
+    link = Link(settings, heard, functools.partial(opener, settings) if opener is not None else None)
+    return Port(link, [station for _, station in members], tick_s)
+
+
+def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> None:
+    """Give a service whose axes are disarmed the axes of a configuration that was read again, all of them or none.
 
     Raises
     ------
     ConfigError
-        If the parts do not fit together, or a table has changed that only a restart can follow.
+        If the parts do not fit together, or something has changed that only a restart can follow.
     """
-    for table in ("service", "bus", "protocol"):
+    before, now = ([loaded.config.axis.name for loaded in machine.axes] for machine in (running, fresh))
+    if fresh.service != running.service:
+        raise fresh.problem(("service",), f"[service] {_RESTART}")
+    if (fresh.when_one_trips, now) != (running.when_one_trips, before):
+        raise fresh.problem(("machine",), f"[machine], or the name of an axis, {_RESTART}")
+    axes = [
+        _reread_axis(service.station(name), old, new, service.ticks.period_s)
+        for name, old, new in zip(now, running.axes, fresh.axes, strict=True)
+    ]
+    for name, axis in zip(now, axes, strict=True):
+        service.station(name).axis = axis
+
+
+def _reread_axis(station: Station, running: LoadedConfig[Config], fresh: LoadedConfig[Config], tick_s: float) -> Axis:
+    for table in ("bus", "protocol"):
         if getattr(fresh.config, table) != getattr(running.config, table):
-            raise fresh.problem((table,), f"[{table}] has changed: only a restart of the service can follow that")
+            raise fresh.problem((table,), f"[{table}] {_RESTART}")
     if fresh.config.axis.unit != running.config.axis.unit:  # the frames were compiled for it
-        raise fresh.problem(("axis", "unit"), "the unit has changed: only a restart of the service can follow that")
-    _check_effort(fresh, service.profile)
-    axis = build_axis(fresh, service.profile)
-    axis.take_over(service.axis)
-    service.axis = axis
+        raise fresh.problem(("axis", "unit"), f"the unit {_RESTART}")
+    _check_effort(fresh, station.profile)
+    axis = build_axis(fresh, station.profile, tick_s)
+    axis.take_over(station.axis)
+    return axis
 
 
-def socket_path(config: Config) -> Path:
+def socket_path(settings: ServiceSettings) -> Path:
     """Return the path of the control socket."""
-    return Path(config.service.socket) if config.service.socket else own_socket()
+    return Path(settings.socket) if settings.socket else own_socket()

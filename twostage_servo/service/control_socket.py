@@ -44,13 +44,22 @@ class ControlSocket:
         Path of the socket.
     handle
         Carries out a request of the client that is named, and returns its answer; raises :class:`Refused`.
+    snapshot
+        Makes what watchers are sent, of the axis that is named or of all.
     leave
         Told the name of a client whose connection has ended.
     """
 
-    def __init__(self, path: Path, handle: Callable[[Request, str], Answer], leave: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        handle: Callable[[Request, str], Answer],
+        snapshot: Callable[[str | None], Answer],
+        leave: Callable[[str], None],
+    ) -> None:
         self.path = path
         self._handle = handle
+        self._snapshot = snapshot
         self._leave = leave
         self._connections = itertools.count(1)
         self._server: asyncio.Server | None = None
@@ -89,14 +98,15 @@ class ControlSocket:
         self._server = None
         self.path.unlink(missing_ok=True)
 
-    def publish(self, tick: int, snapshot: Callable[[], Answer]) -> None:
+    def publish(self, tick: int) -> None:
         """Send a snapshot to the watchers for which one is due; make it only if there are any."""
-        line = None
+        lines: dict[str | None, bytes] = {}
         for client in list(self._clients):
             if client.every and tick >= client.due and not client.busy:
                 client.due = tick + client.every
-                line = line or encode({"event": "snapshot", **snapshot()})
-                client.send_unless_behind(line)
+                if client.axis not in lines:
+                    lines[client.axis] = encode({"event": "snapshot", **self._snapshot(client.axis)})
+                client.send_unless_behind(lines[client.axis])
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.create_task(self._serve(reader, writer))
@@ -146,7 +156,7 @@ class ControlSocket:
             self._log.warning("refused", peer=client.peer, op=request.op, code=error.code, reason=str(error))
             return _failure(error.code, str(error))
         if isinstance(request, WatchRequest):
-            client.every = request.every
+            client.every, client.axis = request.every, request.axis
         return {"ok": True, **answer}
 
 
@@ -156,6 +166,7 @@ class _Client:
     def __init__(self, writer: asyncio.StreamWriter, number: int) -> None:
         self._writer = writer
         self.every = 0
+        self.axis: str | None = None
         self.due = 0
         self.unsent = 0
         self.busy = False

@@ -1,16 +1,17 @@
-"""The operators' desk: carries out what clients ask of the axis, one of them at a time."""
+"""The operators' desk: carries out what clients ask of the axes, one of them at a time."""
 
 from typing import TYPE_CHECKING, Any
 
 import structlog
 
 from twostage_servo.axis.messages import Refused
-from twostage_servo.axis.state import BRAKING, MOVING, State
+from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
 from twostage_servo.service.lease import Lease
 from twostage_servo.service.recorder import Record
 from twostage_servo.service.requests import (
     READING,
     ArmRequest,
+    AxisRequest,
     DisarmRequest,
     HomeRequest,
     JogRequest,
@@ -23,14 +24,16 @@ from twostage_servo.service.requests import (
     StopRequest,
     TakeRequest,
 )
+from twostage_servo.service.together import velocities_to_arrive_together
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
+    from twostage_servo.axis.axis import Axis
     from twostage_servo.service.loop import ServoService
+    from twostage_servo.service.station import Station
 
 _IN_MOTION = MOVING | BRAKING | {State.JOGGING, State.HOMING}
-_COMMANDED = MOVING | {State.JOGGING, State.HOMING}
 
 
 class Desk:
@@ -39,21 +42,21 @@ class Desk:
     Parameters
     ----------
     service
-        The service whose axis is commanded.
+        The service whose axes are commanded.
 
     Attributes
     ----------
     lease
         Who commands.
     reload
-        Reads the configuration again and gives the service its new axis; None where there is none to read.
+        Reads the configuration again and gives the service its new axes; None where there is none to read.
     """
 
     def __init__(self, service: "ServoService") -> None:
         self._service = service
         self.lease = Lease()
         self.reload: Callable[[], None] | None = None
-        self._log = structlog.get_logger().bind(axis=service.axis.settings.name)
+        self._log = structlog.get_logger()
 
     def handle(self, request: Request, client: str) -> dict[str, Any]:
         """Carry out a request of a client.
@@ -80,58 +83,63 @@ class Desk:
 
     def _handle(self, request: Request, client: str) -> dict[str, Any]:
         service = self._service
+        name = request.axis if isinstance(request, AxisRequest) else None
+        if name is not None:
+            self._station(name)  # which refuses one that there is not
         if isinstance(request, RecordingRequest):
-            return {"fields": Record._fields, "records": service.recorder.records()}
+            return {"fields": Record._fields, "records": self._station(name).recorder.records()}
         if not isinstance(request, READING):
             if service.is_ending:
                 raise Refused("ending", "the service is ending: nothing but reading is possible any more.")
             self._command(request, client)
-        return service.snapshot()
+        return service.snapshot(name)
 
     def leave(self, client: str) -> None:
         """Take notice that a client's connection has ended; one that has commanded has not given its lease back."""
         if not self.lease.release(client):
             return
-        axis, policy = self._service.axis, self._service.settings.holder_lost
-        if axis.state is State.JOGGING:
-            axis.stop(f"{client} has gone, who held the jog")
-        elif axis.state in _COMMANDED and policy != "continue":
-            self._log.warning("the lease's holder has gone", client=client, policy=policy)
-            if policy == "stop":
-                axis.stop(f"{client} has gone, who commanded the move (service.holder_lost is stop)")
-            else:
-                axis.disarm()
+        policy = self._service.settings.holder_lost
+        for station in self._service.stations:
+            axis = station.axis
+            if axis.state is State.JOGGING:
+                axis.stop(f"{client} has gone, who held the jog")
+            elif axis.state in COMMANDED and policy != "continue":
+                self._log.warning("the lease's holder has gone", axis=station.name, client=client, policy=policy)
+                if policy == "stop":
+                    axis.stop(f"{client} has gone, who commanded the move (service.holder_lost is stop)")
+                else:
+                    axis.disarm()
 
     def _command(self, request: Request, client: str) -> None:
-        axis = self._service.axis
         match request:
-            case StopRequest(quick=quick):  # whoever commands, everybody may bring the axis to rest
-                axis.stop(quick=quick)
+            case StopRequest(quick=quick):  # whoever commands, everybody may bring the axes to rest
+                self._stop(self._axes(request), quick=quick)
             case DisarmRequest():
-                axis.disarm()
+                for axis in self._axes(request):
+                    axis.disarm()
             case ReleaseRequest():
                 self.lease.release(client)
             case TakeRequest():
-                self.lease.take(client, at_rest=axis.state not in _IN_MOTION)
+                at_rest = all(station.axis.state not in _IN_MOTION for station in self._service.stations)
+                self.lease.take(client, at_rest=at_rest)
             case _:
                 self.lease.demand(client)
                 self._command_as_holder(request)
 
     def _command_as_holder(self, request: Request) -> None:
-        axis = self._service.axis
         match request:
             case ArmRequest():
-                if self._service.bus_error is not None:
-                    raise Refused("bus_closed", f"the bus is not open: {self._service.bus_error}")
-                axis.arm()
+                self._arm(self._stations(request))
             case ResetRequest():
-                axis.reset()
-                self._service.recorder.discard()
+                self._reset(self._stations(request))
+            case MoveRequest(positions=None):
+                self._move(self._station(request.axis).axis, request)
             case MoveRequest():
-                self._move(request)
+                self._move_together(request)
             case JogRequest(velocity=velocity):
-                axis.jog(velocity)
+                self._station(request.axis).axis.jog(velocity)
             case HomeRequest(position=position):
+                axis = self._station(request.axis).axis
                 if position is None:
                     axis.home()
                 else:
@@ -139,19 +147,70 @@ class Desk:
             case ReloadRequest():
                 self._reload()
 
-    def _move(self, request: MoveRequest) -> None:
-        axis = self._service.axis
+    # Which axes ------------------------------------------------------------------------------------------------------
+
+    def _station(self, name: str | None) -> "Station":
+        try:
+            return self._service.station(name)
+        except KeyError:
+            names = ", ".join(station.name for station in self._service.stations)
+            text = f"there is no axis {name}" if name is not None else "this concerns one axis, and there are several"
+            raise Refused("which_axis", f"{text}: name one of {names}.") from None
+
+    def _stations(self, request: AxisRequest) -> "Sequence[Station]":
+        return self._service.stations if request.axis is None else [self._station(request.axis)]
+
+    def _axes(self, request: AxisRequest) -> "list[Axis]":
+        return [station.axis for station in self._stations(request)]
+
+    # What is asked of several at once is asked of all of them or of none ---------------------------------------------
+
+    def _stop(self, axes: "list[Axis]", *, quick: bool) -> None:
+        stoppable = [axis for axis in axes if axis.can_stop]
+        for axis in stoppable or axes:  # none can: the first says why
+            axis.stop(quick=quick)
+
+    def _arm(self, stations: "Sequence[Station]") -> None:
+        for station in stations:
+            if station.port.error is not None:
+                raise Refused("bus_closed", f"the bus is not open: {station.port.error}")
+            station.axis.check_arming()
+        for station in stations:
+            station.axis.arm()
+
+    def _reset(self, stations: "Sequence[Station]") -> None:
+        tripped = [station for station in stations if station.axis.trip is not None] or stations
+        for station in tripped:
+            station.axis.check_reset()
+        for station in tripped:
+            station.axis.reset()
+            station.recorder.discard()
+
+    def _move(self, axis: "Axis", request: MoveRequest) -> None:
         speed = axis.settings.cruise_velocity if request.velocity is None else request.velocity
         if request.position is not None:
             axis.move_to(request.position, speed)
         elif request.by is not None:
             axis.move_by(request.by, speed)
 
+    def _move_together(self, request: MoveRequest) -> None:
+        assert request.positions is not None  # noqa: S101 - the caller has looked
+        moves = []
+        for name, position in request.positions.items():
+            axis = self._station(name).axis
+            speed = axis.settings.cruise_velocity if request.velocity is None else request.velocity
+            axis.check_move(position, speed)
+            moves.append((axis, position, speed))
+        for (axis, position, _), speed in zip(moves, velocities_to_arrive_together(moves), strict=True):
+            axis.move_to(position, speed)
+
     def _reload(self) -> None:
         if self.reload is None:
             raise Refused("no_configuration", "this service runs on settings that stand in no file.")
-        if self._service.axis.state is not State.DISARMED:
-            raise Refused(
-                "armed", f"the axis is {self._service.axis.state}: the configuration is read again only while disarmed."
-            )
+        for station in self._service.stations:
+            if station.axis.state is not State.DISARMED:
+                raise Refused(
+                    "armed",
+                    f"axis {station.name} is {station.axis.state}: settings are read again only while disarmed.",
+                )
         self.reload()

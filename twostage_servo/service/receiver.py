@@ -1,5 +1,6 @@
 """What the drive sends, frame by frame, taken to the axis; what can't be used is counted by its reason."""
 
+import asyncio
 from typing import TYPE_CHECKING
 
 import can
@@ -9,6 +10,7 @@ from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.state import DRIVEN
 from twostage_servo.canbus.profile import DriveProfile, FrameRejected, PositionRejected
 from twostage_servo.canbus.profile import Feedback as Reported
+from twostage_servo.service.statistics import TimeHistogram
 from twostage_servo.ticks import Tick
 
 if TYPE_CHECKING:
@@ -26,8 +28,6 @@ class Receiver:
     ----------
     profile
         How the drive's frames are packed.
-    link
-        Where they came from: it knows their age and counts what is rejected.
     period_s
         Length of a tick in s.
     dated
@@ -40,12 +40,17 @@ class Receiver:
         first command.
     drive_state
         The state that the drive's heartbeat reports; None before the first one.
+    frame_age
+        How old the feedback frames were when the tick took them, where the bus dates them.
+    arrived_s
+        When the latest of this tick arrived, on the loop's clock in s; None where nobody knows.
     """
 
-    def __init__(self, profile: DriveProfile, link: "Link", period_s: float, *, dated: bool) -> None:
+    def __init__(self, profile: DriveProfile, period_s: float, *, dated: bool) -> None:
         self._profile = profile
-        self._link = link
         self._dated = dated
+        self.frame_age = TimeHistogram()
+        self.arrived_s: float | None = None
         self.sample_age_s: float | None = None
         self._lateness_s = 0.0
         self._period_s = period_s
@@ -59,16 +64,20 @@ class Receiver:
         A command that left late was answered late. If more than a period has passed since, a drive that is used to one
         command a period has reported by itself as well, behind its answer.
         """
+        self.arrived_s = None
         self.sample_age_s = None if sent_s is None else tick.deadline_s - sent_s
         self._lateness_s = tick.lateness_s
         self._late = sent_s is not None and tick.deadline_s + tick.lateness_s - sent_s > _PATIENCE * self._period_s
 
-    def take(self, message: can.Message, axis: "Axis") -> None:
-        """Take one frame; a command to the drive that is not ours is a second controller."""
+    def take(self, message: can.Message, axis: "Axis", link: "Link") -> None:
+        """Take one frame to the axis; a command to the drive that is not ours is a second controller.
+
+        The link that brought it knows its age, and counts what is rejected.
+        """
         profile = self._profile
         try:
             if profile.is_feedback(message):
-                self._take(profile.decode_feedback(message), message, axis)
+                self._take(profile.decode_feedback(message), link.age_s(message), axis)
             elif profile.is_heartbeat(message):
                 heartbeat = profile.decode_heartbeat(message)
                 self.drive_state = heartbeat.state
@@ -80,9 +89,9 @@ class Receiver:
             else:
                 profile.decode_command(message)  # which says what it is instead
         except FrameRejected as rejection:
-            self._link.counters.count_rejection(rejection.reason)
+            link.counters.count_rejection(rejection.reason)
             if isinstance(rejection, PositionRejected):
-                self._take(rejection.feedback, message, axis)
+                self._take(rejection.feedback, link.age_s(message), axis)
             elif profile.is_feedback(message):
                 axis.drive.monitor.reject()
             self._log.debug("frame rejected", reason=rejection.reason, text=rejection)
@@ -91,7 +100,10 @@ class Receiver:
         """Start afresh, as after the bus was lost."""
         self.drive_state = None
 
-    def _take(self, feedback: Reported, message: can.Message, axis: "Axis") -> None:
+    def _take(self, feedback: Reported, age_s: float | None, axis: "Axis") -> None:
+        if age_s is not None:
+            self.frame_age.add(age_s)
+            self.arrived_s = asyncio.get_running_loop().time() - age_s
         faulty = (
             feedback.fault
             or (feedback.fault is None and feedback.fault_code)
@@ -107,11 +119,10 @@ class Receiver:
                 feedback.positive_limit,
                 feedback.negative_limit,
                 feedback.home_switch,
-                self._dated_age_s(message) if self._dated else self.sample_age_s,
+                self._dated_age_s(age_s) if self._dated else self.sample_age_s,
                 unasked=self._late and not self._dated,
             )
         )
 
-    def _dated_age_s(self, message: can.Message) -> float | None:
-        age_s = self._link.age_s(message)
+    def _dated_age_s(self, age_s: float | None) -> float | None:
         return None if age_s is None else age_s - self._lateness_s

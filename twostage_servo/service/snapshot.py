@@ -1,4 +1,4 @@
-"""The state of service and axis as one JSON object: what `status` and `watch` show."""
+"""The state of the service and of an axis as JSON objects: what `status` and `watch` show."""
 
 import math
 import os
@@ -10,18 +10,27 @@ from twostage_servo.axis.state import DRIVEN
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService
+    from twostage_servo.service.station import Station
 
 
-def take_snapshot(service: "ServoService") -> dict[str, Any]:
-    """Return the state of service and axis, ready for JSON."""
-    axis, law = service.axis, service.axis.law
-    driven = axis.state in DRIVEN
-    age = axis.drive.monitor.ticks_since_fresh
-    counters, files = service.link.counters, service.reporter.trip_files
+def report_service(service: "ServoService") -> dict[str, Any]:
+    """Return what all axes have in common, ready for JSON."""
     return {
         "version": __version__,
         "pid": os.getpid(),
         "uptime_s": round(service.uptime_s, 3),
+        "lease": {"holder": service.desk.lease.holder},
+        "ticks": service.statistics.summary(),
+    }
+
+
+def report_axis(station: "Station") -> dict[str, Any]:
+    """Return the state of an axis with its drive and its bus, ready for JSON."""
+    axis, law, port, receiver = station.axis, station.axis.law, station.port, station.receiver
+    driven = axis.state in DRIVEN
+    age = axis.drive.monitor.ticks_since_fresh
+    counters, files = port.link.counters, station.reporter.trip_files
+    return {
         "axis": {
             "name": axis.settings.name,
             "unit": axis.settings.unit,
@@ -30,10 +39,10 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
             "cia402": axis.cia402_state,
             "referenced": axis.referenced,
             "position": None if axis.drive.is_stale else axis.drive.position,
-            "feedback_age_ms": None if age is None else round(1e3 * age * service.ticks.period_s, 3),
+            "feedback_age_ms": None if age is None else round(1e3 * age * axis.design.period_s, 3),
             "velocity": law.observer.velocity if driven else None,
             "disturbance": law.observer.disturbance if driven else None,
-            "effort": service.command.effort,
+            "effort": station.command.effort,
             "target": law.target if driven else None,
             "following_error": axis.following_error,
             "saturated": driven and law.saturated,
@@ -68,12 +77,6 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
             "negative_limit": axis.drive.negative_limit,
             "home_switch": axis.drive.home_switch,
         },
-        "lease": {"holder": service.desk.lease.holder},
-        "ticks": {
-            "count": service.tick_count,
-            "missed": service.tick_missed,
-            "lateness_us": service.lateness.summary(),
-        },
         "frames": {
             "received": counters.received,
             "sent": counters.sent,
@@ -87,12 +90,15 @@ def take_snapshot(service: "ServoService") -> dict[str, Any]:
             "reordered": axis.drive.monitor.reordered,
             "recent_errors": axis.drive.monitor.recent_errors,
             "predicted": axis.motion.predicted,
+            "age_us": receiver.frame_age.summary(),
+            "feedback_to_command_us": station.feedback_to_command.summary(),
         },
         "bus": {
-            "open": service.bus_error is None,
-            "error": service.bus_error,
-            "drive_state": service.receiver.drive_state,
-            "controller": service.link.controller_state,
+            "channel": port.link.settings.channel,
+            "open": port.error is None,
+            "error": port.error,
+            "drive_state": receiver.drive_state,
+            "controller": port.link.controller_state,
         },
     }
 

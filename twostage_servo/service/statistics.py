@@ -1,14 +1,16 @@
 """Tick statistics in constant memory."""
 
+import itertools
 import math
+from bisect import bisect_left
 
 _BINS_PER_DECADE = 40
 _LOWEST_US = 0.1
 _DECADES = 8
 
 
-class LatenessHistogram:
-    """Histogram of lateness with logarithmic bins from 0.1 µs to 10 s: 40 a decade, so a percentile is within 6 %."""
+class TimeHistogram:
+    """Histogram of times with logarithmic bins from 0.1 µs to 10 s: 40 a decade, so a percentile is within 6 %."""
 
     __slots__ = ("_bins", "count", "largest_us")
 
@@ -17,31 +19,78 @@ class LatenessHistogram:
         self.count = 0
         self.largest_us = 0.0
 
-    def add(self, lateness_s: float) -> None:
-        """Count one lateness in s, not negative."""
-        lateness_us = 1e6 * lateness_s
+    def add(self, time_s: float) -> None:
+        """Count one time in s; a negative one counts as 0."""
+        time_us = 1e6 * time_s
         self.count += 1
-        self.largest_us = max(self.largest_us, lateness_us)
-        if lateness_us <= _LOWEST_US:
+        if time_us <= _LOWEST_US:
             self._bins[0] += 1
-        else:
-            bin_index = math.ceil(_BINS_PER_DECADE * math.log10(lateness_us / _LOWEST_US))
-            self._bins[min(bin_index, len(self._bins) - 1)] += 1
+            return
+        self.largest_us = max(self.largest_us, time_us)
+        bin_index = math.ceil(_BINS_PER_DECADE * math.log10(time_us / _LOWEST_US))
+        self._bins[min(bin_index, len(self._bins) - 1)] += 1
 
-    def percentile_us(self, percent: float) -> float:
-        """Return the upper edge in µs of the bin that holds the percentile; 0 if nothing was counted or was late."""
-        needed = percent / 100.0 * self.count
-        seen = 0
-        for index, count in enumerate(self._bins):
-            seen += count
-            if count and seen >= needed:
-                return min(self.largest_us, _LOWEST_US * 10.0 ** (index / _BINS_PER_DECADE)) if index else 0.0
-        return 0.0
+    def percentiles_us(self, *percents: float) -> list[float]:
+        """Return the upper edge in µs of the bin that holds each percentile; 0 where nothing was counted or lasted."""
+        seen = list(itertools.accumulate(self._bins))
+        edges = [bisect_left(seen, max(1.0, percent / 100.0 * self.count)) for percent in percents]
+        return [
+            min(self.largest_us, _LOWEST_US * 10.0 ** (index / _BINS_PER_DECADE)) if 0 < index < len(seen) else 0.0
+            for index in edges
+        ]
 
     def summary(self) -> dict[str, float]:
-        """Return p50, p99 and max, in µs."""
+        """Return p50, p90, p99 and max, in µs."""
+        p50, p90, p99 = self.percentiles_us(50.0, 90.0, 99.0)
+        return {"p50": round(p50, 1), "p90": round(p90, 1), "p99": round(p99, 1), "max": round(self.largest_us, 1)}
+
+    def bins(self) -> list[tuple[float, int]]:
+        """Return the upper edge in µs and the count of each bin that is not empty."""
+        return [
+            (_LOWEST_US * 10.0 ** (index / _BINS_PER_DECADE), count) for index, count in enumerate(self._bins) if count
+        ]
+
+
+PHASES = ("read", "update", "write", "publish")
+"""Parts of a tick, in their order."""
+
+
+class TickStatistics:
+    """What the ticks of a service were like.
+
+    Attributes
+    ----------
+    count, missed
+        Ticks served, and deadlines that passed unserved.
+    lateness
+        How long after their deadlines the ticks began.
+    duration
+        How long each phase of a tick took, and the whole of it.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.missed = 0
+        self.lateness = TimeHistogram()
+        self.duration = {name: TimeHistogram() for name in (*PHASES, "whole")}
+
+    def begin(self, lateness_s: float, missed: int) -> None:
+        """Count a tick as it begins."""
+        self.count += 1
+        self.missed += missed
+        self.lateness.add(lateness_s)
+
+    def end(self, *times_s: float) -> None:
+        """Take the times, on one clock in s, at which the phases began, and at which the last one ended."""
+        for histogram, begun_s, ended_s in zip(self.duration.values(), times_s, times_s[1:], strict=False):
+            histogram.add(ended_s - begun_s)
+        self.duration["whole"].add(times_s[-1] - times_s[0])
+
+    def summary(self) -> dict[str, object]:
+        """Return all of it, ready for JSON; times in µs."""
         return {
-            "p50": round(self.percentile_us(50.0), 1),
-            "p99": round(self.percentile_us(99.0), 1),
-            "max": round(self.largest_us, 1),
+            "count": self.count,
+            "missed": self.missed,
+            "lateness_us": self.lateness.summary(),
+            "duration_us": {name: histogram.summary() for name, histogram in self.duration.items()},
         }

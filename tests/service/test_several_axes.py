@@ -1,0 +1,358 @@
+"""Several axes and buses in one service: one tick, moves together, and what one axis' trouble does to the others."""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
+from twostage_servo.canbus.link import Link
+from twostage_servo.cli.configuration import shipped_configuration
+from twostage_servo.config import ConfigError
+from twostage_servo.machine import load_machine
+from twostage_servo.service.assembly import build_service, reload_machine
+from twostage_servo.service.loop import ServoService
+from twostage_servo.service.requests import REQUESTS
+from twostage_servo.simulation.bus import Wire
+from twostage_servo.simulation.drive import SimulatedDrive
+from twostage_servo.simulation.node import DriveNode
+from twostage_servo.simulation.virtual_clock import run
+
+DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")
+EXAMPLE_2 = shipped_configuration("example2.toml").read_text(encoding="utf-8")
+
+
+def axis_page(name: str, channel: str, offset: int = 0, page: str = DEMO) -> str:
+    """Return a shipped configuration as that of an axis of another name, on another bus."""
+    head, _, rest = page.partition("[bus]")
+    _, _, rest = rest.partition("[axis]")
+    bus = f'[bus]\ninterface = "socketcan"\nchannel = "{channel}"\nreopen_interval_ms = 50.0\n\n'
+    old = next(line for line in rest.splitlines() if line.startswith("name = "))
+    return head + bus + f"[protocol]\nidentifier_offset = {offset}\n\n[axis]" + rest.replace(old, f'name = "{name}"')
+
+
+def machine_file(folder: Path, pages: dict[str, str], machine: str = "") -> Path:
+    for name, page in pages.items():
+        (folder / f"{name}.toml").write_text(page, encoding="utf-8")
+    files = ", ".join(f'"{name}.toml"' for name in pages)
+    path = folder / "machine.toml"
+    path.write_text(f"[service]\ntick_ms = 10.0\n\n[machine]\naxes = [{files}]\n{machine}", encoding="utf-8")
+    return path
+
+
+@dataclass
+class Plant:
+    """A service with the drives of all its axes, each bus a wire of its own."""
+
+    service: ServoService
+    wires: dict[str, Wire]
+    drives: dict[str, SimulatedDrive] = field(default_factory=dict)
+
+    def axis(self, name: str) -> Axis:
+        return self.service.station(name).axis
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        return self.service.handle(REQUESTS.validate_python(request))
+
+    def states(self) -> list[State]:
+        return [station.axis.state for station in self.service.stations]
+
+    async def until(self, condition: Callable[[], bool], longest_s: float = 60.0) -> None:
+        for _ in range(round(longest_s / 0.01)):
+            if condition():
+                return
+            await asyncio.sleep(0.01)
+        raise AssertionError(f"not within {longest_s} s: {self.states()}")
+
+    async def armed(self) -> None:
+        await self.until(lambda: all(station.axis.ready_to_arm for station in self.service.stations))
+        self.ask(op="arm")
+        await self.until(lambda: set(self.states()) == {State.HOLDING})
+
+
+def operate(path: Path, script: Callable[[Plant], Awaitable[None]], *overrides: str) -> None:
+    machine = load_machine(path, overrides)
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        wires: dict[str, Wire] = {}
+
+        def wire(channel: str | int) -> Wire:
+            return wires.setdefault(str(channel), Wire(loop.time))
+
+        service = build_service(machine, opener=lambda bus: wire(bus.channel).attach("service"))
+        plant, nodes = Plant(service, wires), []
+        for loaded, station in zip(machine.axes, service.stations, strict=True):
+            config = loaded.config
+            drive = plant.drives[station.name] = SimulatedDrive(config.simulation, station.profile, loop.time())
+
+            def attach(name: str = station.name, channel: str | int = config.bus.channel) -> can.BusABC:
+                return wire(channel).attach(name)
+
+            link = Link(config.bus, station.profile.drive_identifiers, attach)
+            nodes.append(DriveNode(drive, link, config.simulation.cycle_ms / 1e3))
+        serving = asyncio.create_task(service.run())
+        driving = [asyncio.create_task(node.run()) for node in nodes]
+        try:
+            await script(plant)
+        finally:
+            service.shut_down()
+            await asyncio.gather(serving, return_exceptions=True)
+            for node in nodes:
+                node.stop()
+            await asyncio.gather(*driving)
+
+    run(main())
+
+
+@pytest.fixture
+def two_on_one_bus(tmp_path: Path) -> Path:
+    return machine_file(tmp_path, {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)})
+
+
+@pytest.fixture
+def two_buses(tmp_path: Path) -> Path:
+    return machine_file(tmp_path, {"x": axis_page("x", "can0"), "y": axis_page("y", "can1", page=EXAMPLE_2)})
+
+
+def test_each_axis_moves_by_itself_on_a_bus_that_they_share(two_on_one_bus: Path) -> None:
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        assert len(plant.service.ports) == 1
+        plant.ask(op="move", axis="y", position=-30.0)
+        await plant.until(lambda: plant.axis("y").state is State.HOLDING)
+        assert plant.drives["y"].position == pytest.approx(-30.0, abs=0.05)
+        assert plant.drives["x"].position == pytest.approx(0.0, abs=0.01)
+
+    operate(two_on_one_bus, script)
+
+
+@pytest.mark.parametrize("positions", [{"x": 400.0, "y": -100.0}, {"x": 20.0, "y": 300.0}, {"x": -60.0, "y": 61.0}])
+def test_axes_that_move_together_set_out_and_arrive_together(two_buses: Path, positions: dict[str, float]) -> None:
+    """On two buses, by two laws of different speed; the later one is as quick as alone."""
+
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        service, arrived, truly, begun = plant.service, dict[str, int](), dict[str, int](), dict[str, int]()
+        alone = max(plant.axis(name).duration.duration_s(abs(way), 100.0) for name, way in positions.items())
+        start = service.statistics.count
+        plant.ask(op="move", positions=positions, velocity=100.0)
+        window = {name: plant.axis(name).settings.window.position for name in positions}
+        while set(plant.states()) != {State.HOLDING}:
+            await asyncio.sleep(0.01)
+            for name, target in positions.items():
+                if abs(plant.drives[name].position) > 0.0:
+                    begun.setdefault(name, service.statistics.count)
+                designed = plant.axis(name).motion.nominal.observer.position
+                if abs(designed - target) > window[name]:
+                    arrived[name] = service.statistics.count
+                if abs(plant.drives[name].position - target) > window[name]:
+                    truly[name] = service.statistics.count
+        assert len(set(begun.values())) == 1
+        assert abs(arrived["x"] - arrived["y"]) <= 6  # the noise of the encoder at the change-over
+        assert max(arrived.values()) - start == pytest.approx(100.0 * alone, abs=6.0)
+        assert abs(truly["x"] - truly["y"]) <= 25  # friction and other gains than the model's
+
+    operate(two_buses, script)
+
+
+def test_a_move_of_several_axes_is_carried_out_whole_or_not_at_all(two_on_one_bus: Path) -> None:
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        for wrong, code in (({"x": 10.0, "y": 1e6}, "position_limit"), ({"x": 10.0, "z": 1.0}, "which_axis")):
+            with pytest.raises(Refused) as refused:
+                plant.ask(op="move", positions=wrong)
+            assert refused.value.code == code
+            assert set(plant.states()) == {State.HOLDING}
+
+    operate(two_on_one_bus, script)
+
+
+def test_arming_all_is_arming_all_or_none(two_on_one_bus: Path) -> None:
+    async def script(plant: Plant) -> None:
+        await plant.until(lambda: plant.axis("x").ready_to_arm)
+        await plant.until(lambda: plant.axis("y").ready_to_arm)
+        plant.drives["y"].change(asyncio.get_running_loop().time(), safe_torque_off=True)
+        await asyncio.sleep(0.1)
+        with pytest.raises(Refused, match="safe torque off"):
+            plant.ask(op="arm")
+        assert set(plant.states()) == {State.DISARMED}
+        plant.ask(op="arm", axis="x")
+        await plant.until(lambda: plant.axis("x").state is State.HOLDING)
+
+    operate(two_on_one_bus, script)
+
+
+@pytest.mark.parametrize(
+    ("reaction", "after"),
+    [
+        ("continue", State.SPEED_STAGE),
+        ("stop", State.HOLDING),
+        ("quick_stop", State.HOLDING),
+        ("disarm", State.DISARMED),
+    ],
+)
+def test_when_one_trips_the_others_do_as_the_machine_says(tmp_path: Path, reaction: str, after: State) -> None:
+    pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
+    path = machine_file(tmp_path, pages, f'when_one_trips = "{reaction}"\n')
+
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        plant.ask(op="move", positions={"x": 400.0, "y": 400.0})
+        await asyncio.sleep(1.5)
+        plant.axis("x").raise_trip(TripCode.FOLLOWING_ERROR, "test")
+        await asyncio.sleep(0.5)
+        assert plant.states() == [State.TRIPPED, after]
+        move = plant.axis("y").move
+        assert move is not None
+        assert move.outcome == ("moving" if reaction == "continue" else "stopped")
+        if reaction in {"stop", "quick_stop"}:
+            assert move.reason == f"x has tripped (machine.when_one_trips is {reaction})"
+        plant.ask(op="reset")
+        assert plant.axis("x").state is State.DISARMED
+
+    operate(path, script)
+
+
+def test_a_bus_that_fails_trips_the_axes_on_it_and_no_others(tmp_path: Path) -> None:
+    pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1), "z": axis_page("z", "can1")}
+    path = machine_file(tmp_path, pages, 'when_one_trips = "continue"\n')
+
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        plant.ask(op="move", positions={"x": 400.0, "y": 400.0, "z": 400.0})
+        await asyncio.sleep(1.5)
+        plant.wires["can0"].node("service").down = True
+        await asyncio.sleep(0.1)
+        assert plant.states() == [State.TRIPPED, State.TRIPPED, State.SPEED_STAGE]
+        await plant.until(lambda: plant.axis("z").state is State.HOLDING)
+        assert plant.drives["z"].position == pytest.approx(400.0, abs=0.05)
+        plant.wires["can0"].node("service").down = False
+        await plant.until(lambda: plant.service.ports[0].error is None)
+        assert plant.states() == [State.TRIPPED, State.TRIPPED, State.HOLDING]
+
+    operate(path, script)
+
+
+def test_stop_and_disarm_concern_all_axes_unless_one_is_named(two_on_one_bus: Path) -> None:
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        plant.ask(op="move", positions={"x": 400.0, "y": 400.0})
+        await asyncio.sleep(1.0)
+        plant.ask(op="stop", axis="y")
+        await plant.until(lambda: plant.axis("y").state is State.HOLDING)
+        assert plant.axis("x").state is State.SPEED_STAGE
+        plant.ask(op="stop")
+        await plant.until(lambda: set(plant.states()) == {State.HOLDING})
+        with pytest.raises(Refused, match="name one of x, y") as refused:
+            plant.ask(op="jog", velocity=10.0)
+        assert refused.value.code == "which_axis"
+        plant.ask(op="disarm")
+        await plant.until(lambda: set(plant.states()) == {State.DISARMED})
+
+    operate(two_on_one_bus, script)
+
+
+def test_the_snapshot_shows_all_axes_or_the_one_named(two_on_one_bus: Path) -> None:
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        assert {name: report["axis"]["state"] for name, report in plant.ask(op="status")["axes"].items()} == {
+            "x": "holding",
+            "y": "holding",
+        }
+        assert plant.ask(op="status", axis="y")["axis"]["name"] == "y"
+        with pytest.raises(Refused, match="there is no axis z"):
+            plant.ask(op="status", axis="z")
+        with pytest.raises(Refused, match="there are several"):
+            plant.ask(op="recording")
+
+    operate(two_on_one_bus, script)
+
+
+def test_a_reload_takes_all_files_or_none(two_on_one_bus: Path) -> None:
+    machine = load_machine(two_on_one_bus)
+    other = two_on_one_bus.parent / "y.toml"
+
+    async def script(plant: Plant) -> None:
+        await plant.until(lambda: all(station.axis.ready_to_arm for station in plant.service.stations))
+        for name in ("x", "y"):
+            page = two_on_one_bus.parent / f"{name}.toml"
+            page.write_text(page.read_text().replace("cruise_velocity = 100.0", "cruise_velocity = 40.0"))
+        text = other.read_text()
+        other.write_text(text.replace("identifier_offset = 1", "identifier_offset = 2"))
+        with pytest.raises(ConfigError, match=r"y\.toml.*\[protocol\] has changed"):
+            reload_machine(plant.service, machine, load_machine(two_on_one_bus))
+        assert plant.axis("x").settings.cruise_velocity == 100.0
+        other.write_text(text)
+        reload_machine(plant.service, machine, load_machine(two_on_one_bus))
+        assert [station.axis.settings.cruise_velocity for station in plant.service.stations] == [40.0, 40.0]
+
+    operate(two_on_one_bus, script)
+
+
+# The files ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("pages", "machine", "complaint"),
+    [
+        ({"x": axis_page("x", "can0"), "y": axis_page("x", "can1")}, "", r"y\.toml:\d+: axis\.name.* of this name"),
+        ({"x": axis_page("all", "can0")}, "", "'all' means every axis"),
+        ({"x": axis_page("x", "can0")}, 'when_one_trips = "explode"', r"machine\.toml:\d+: machine\.when_one_trips"),
+        (
+            {"x": axis_page("x", "can0"), "y": axis_page("y", "can0").replace("50.0\n", "60.0\n", 1)},
+            "",
+            "it is the same bus",
+        ),
+        (
+            {"x": axis_page("x", "can0"), "y": axis_page("y", "can1").replace("tick_ms = 10.0", "tick_ms = 20.0")},
+            "",
+            r"y\.toml:\d+: service: differs from that of .*machine\.toml",
+        ),
+        (
+            {"x": axis_page("x", "can0").replace("velocity = 250.0", "velocity = -1.0")},
+            "",
+            r"x\.toml:\d+: axis\.limits",
+        ),
+    ],
+    ids=["names", "all", "reaction", "bus", "tick", "axis"],
+)
+def test_what_does_not_fit_together_is_told_with_file_and_line(
+    tmp_path: Path, pages: dict[str, str], machine: str, complaint: str
+) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        load_machine(machine_file(tmp_path, pages, machine + "\n"))
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
+    path = machine_file(tmp_path, {"x": axis_page("x", "can0")})
+    (tmp_path / "x.toml").unlink()
+    with pytest.raises(ConfigError, match=r"x\.toml: there is no such file"):
+        load_machine(path)
+
+
+def test_drives_with_the_same_identifiers_on_one_bus_are_refused(tmp_path: Path) -> None:
+    path = machine_file(tmp_path, {"x": axis_page("x", "can0"), "y": axis_page("y", "can0")})
+    with pytest.raises(ConfigError, match=r"y\.toml.*axis x .* uses identifier 0x\w+ on this bus as well"):
+        build_service(load_machine(path))
+
+
+def test_an_offset_beyond_the_largest_identifier_is_refused(tmp_path: Path) -> None:
+    path = machine_file(tmp_path, {"x": axis_page("x", "can0", offset=0x700)})
+    with pytest.raises(ConfigError, match=r"protocol\.identifier_offset.*more than 0x7FF"):
+        build_service(load_machine(path))
+
+
+def test_an_override_reaches_the_axis_that_it_names(two_on_one_bus: Path) -> None:
+    machine = load_machine(two_on_one_bus, ["y:axis.cruise_velocity=7", "service.tick_ms=5"])
+    assert [loaded.config.axis.cruise_velocity for loaded in machine.axes] == [100.0, 7.0]
+    assert machine.service.tick_ms == 5.0
+    with pytest.raises(ConfigError, match="there is no axis z; there are x, y"):
+        load_machine(two_on_one_bus, ["z:axis.cruise_velocity=7"])

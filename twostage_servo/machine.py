@@ -1,0 +1,163 @@
+"""The machine: one configuration, or several that share a tick, and what has to be true of them together.
+
+A machine's file lists the configurations of its axes, each of which is complete and can be checked and tried alone.
+"""
+
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from twostage_servo.config import Config, ConfigError, LoadedConfig, Problem, load, load_as
+from twostage_servo.service.settings import ServiceSettings
+from twostage_servo.settings import Settings
+
+_FOR_AN_AXIS = re.compile(r"(\w[\w.-]*):(.*)", re.DOTALL)
+
+
+class MachineSettings(Settings):
+    """Which axes run in one service, and what they have to do with each other."""
+
+    axes: list[str] = Field(
+        description="Configuration files of the axes, relative to the folder of this file", min_length=1, max_length=64
+    )
+    when_one_trips: Literal["continue", "stop", "quick_stop", "disarm"] = Field(
+        "stop", description="What the other axes do when one trips: go on, come to rest and hold, or disarm"
+    )
+
+    @field_validator("axes")
+    @classmethod
+    def _are_different(cls, axes: list[str]) -> list[str]:
+        if doubled := sorted({axis for axis in axes if axes.count(axis) > 1}):
+            raise ValueError(f"{', '.join(doubled)} is named twice; each axis has a file of its own")
+        return axes
+
+
+class MachineConfig(Settings):
+    """The whole file of a machine of several axes."""
+
+    service: ServiceSettings = Field(ServiceSettings(), description="The tick and what runs beside it")
+    machine: MachineSettings = Field(description="The axes")
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """A valid configuration of a service.
+
+    Attributes
+    ----------
+    source
+        The file as it was named.
+    service
+        Its table ``[service]``.
+    when_one_trips
+        What the other axes do.
+    axes
+        The axes' configurations, in their order.
+    """
+
+    source: str
+    service: ServiceSettings
+    when_one_trips: Literal["continue", "stop", "quick_stop", "disarm"]
+    axes: tuple[LoadedConfig[Config], ...]
+    _file: LoadedConfig[Config] | LoadedConfig[MachineConfig] = field(repr=False)
+
+    def problem(self, key: Sequence[str | int], message: str) -> ConfigError:
+        """Make an error of what was noticed only after loading; see :meth:`LoadedConfig.problem`."""
+        return self._file.problem(key, message)
+
+    @classmethod
+    def of(cls, loaded: LoadedConfig[Config]) -> "Machine":
+        """Return the machine of one axis."""
+        return cls(loaded.source, loaded.config.service, "stop", (loaded,), loaded)
+
+
+def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
+    """Load the configuration of a service: of one axis, or of a machine of several.
+
+    Parameters
+    ----------
+    path
+        The TOML file, of an axis or of a machine; None for the embedded ``demo.toml``.
+    overrides
+        ``KEY=VALUE`` arguments of ``--set``; in a machine, ``AXIS:KEY=VALUE`` is for the axis of that name.
+
+    Raises
+    ------
+    ConfigError
+        A file cannot be used, or they do not fit together.
+    """
+    if path is None or not _is_machine(path):
+        return Machine.of(load(path, overrides))
+    for_axes = [found.groups() for override in overrides if (found := _FOR_AN_AXIS.match(override))]
+    machine = load_as(MachineConfig, path, [one for one in overrides if not _FOR_AN_AXIS.match(one)])
+    settings = machine.config.machine
+    problems: list[Problem] = []
+    axes: list[LoadedConfig[Config]] = []
+    for file in settings.axes:
+        try:
+            axes.append(_load_axis(path.parent / file, for_axes))
+        except ConfigError as error:
+            problems += error.problems
+    problems += _problems_together(machine, axes)
+    names = {axis.config.axis.name for axis in axes}
+    problems += [
+        Problem(
+            f"--set {name}:{text}", None, "", None, f"there is no axis {name}; there are {', '.join(sorted(names))}"
+        )
+        for name, text in for_axes
+        if name not in names and not problems
+    ]
+    if problems:
+        raise ConfigError(problems)
+    return Machine(machine.source, machine.config.service, settings.when_one_trips, tuple(axes), machine)
+
+
+def _is_machine(path: Path) -> bool:
+    """Whether a file has a table [machine]; what cannot be read is left to the loader, which says why."""
+    try:
+        return "machine" in tomllib.loads(path.read_bytes().decode("utf-8-sig")) if path.is_file() else False
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def _load_axis(path: Path, for_axes: Sequence[tuple[str, ...]]) -> LoadedConfig[Config]:
+    loaded = load(path)
+    name = loaded.config.axis.name
+    overrides = [text for axis, text in for_axes if axis == name]
+    return load(path, overrides) if overrides else loaded
+
+
+def _problems_together(machine: LoadedConfig[MachineConfig], axes: Sequence[LoadedConfig[Config]]) -> Iterator[Problem]:
+    seen: dict[str, str] = {}
+    service = machine.config.service
+    for loaded in axes:
+        config = loaded.config
+        name = config.axis.name
+        if name == "all":
+            yield from loaded.problem(("axis", "name"), "'all' means every axis; choose another name").problems
+        if name in seen:
+            text = f"{seen[name]} has an axis of this name as well; give each its own"
+            yield from loaded.problem(("axis", "name"), text).problems
+        seen[name] = loaded.source
+        if config.service not in {ServiceSettings(), service}:
+            text = f"differs from that of {machine.source}, which counts: remove it here"
+            yield from loaded.problem(("service",), text).problems
+    for first, second in _different_settings_of_one_bus(axes):
+        text = f"differs from that of {first.source}, though it is the same bus: give both the same settings"
+        yield from second.problem(("bus",), text).problems
+
+
+def _different_settings_of_one_bus(
+    axes: Sequence[LoadedConfig[Config]],
+) -> Iterator[tuple[LoadedConfig[Config], LoadedConfig[Config]]]:
+    firsts: dict[tuple[str, str | int], LoadedConfig[Config]] = {}
+    for loaded in axes:
+        bus = loaded.config.bus
+        first = firsts.setdefault((bus.interface, bus.channel), loaded)
+        if first.config.bus != bus:
+            yield first, loaded

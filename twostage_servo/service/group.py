@@ -1,0 +1,52 @@
+"""What the other axes of a machine do when one of them trips."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Literal
+
+import structlog
+
+from twostage_servo.axis.state import COMMANDED, DRIVEN, LATCHED
+from twostage_servo.service.station import Station
+
+if TYPE_CHECKING:
+    from twostage_servo.axis.trips import Trip
+
+GroupReaction = Literal["continue", "stop", "quick_stop", "disarm"]
+
+
+class Group:
+    """Looks at all axes after each has decided on its effort.
+
+    Parameters
+    ----------
+    reaction
+        What becomes of an axis that moves, or holds, while another one trips: it goes on; it comes to rest and holds;
+        it does so with its quick stop deceleration; or it comes to rest and is disarmed.
+    """
+
+    def __init__(self, reaction: GroupReaction) -> None:
+        self._reaction = reaction
+        self._known: dict[str, Trip | None] = {}
+        self._log = structlog.get_logger().bind(room="group")
+
+    def react(self, stations: Sequence[Station]) -> None:
+        """Let the others react to the trips of this tick."""
+        for station in stations:
+            trip = station.axis.trip
+            if trip is self._known.get(station.name):
+                continue
+            self._known[station.name] = trip
+            if trip is not None and self._reaction != "continue":
+                self._stop_others(station, stations)
+
+    def _stop_others(self, tripped: Station, stations: Sequence[Station]) -> None:
+        for other in stations:
+            axis = other.axis
+            if other is tripped or axis.state in LATCHED or axis.state not in DRIVEN:
+                continue
+            reason = f"{tripped.name} has tripped (machine.when_one_trips is {self._reaction})"
+            self._log.warning("another axis has tripped", axis=other.name, tripped=tripped.name, now=self._reaction)
+            if self._reaction == "disarm":
+                axis.disarm()
+            elif axis.state in COMMANDED:
+                axis.stop(reason, quick=self._reaction == "quick_stop")

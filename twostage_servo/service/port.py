@@ -1,0 +1,132 @@
+"""A bus as the service runs it: opened again after it was lost, and read for all axes on it."""
+
+import asyncio
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import structlog
+
+from twostage_servo.canbus.frame import Identifier
+from twostage_servo.canbus.link import Link, LinkError
+from twostage_servo.ticks import Tick
+
+if TYPE_CHECKING:
+    from twostage_servo.service.station import Station
+
+FrameObserver = Callable[[int, str, int, bytes], None]
+
+
+class Port:
+    """One bus with the axes on it.
+
+    Parameters
+    ----------
+    link
+        The bus, not yet open.
+    stations
+        The axes on it.
+    period_s
+        Length of a tick in s.
+
+    Attributes
+    ----------
+    link
+        As given.
+    stations
+        As given.
+    error
+        Why the bus is not open; None while it is.
+    observers
+        Called with tick index, ``sent`` or ``received``, identifier and data of each frame.
+    """
+
+    def __init__(self, link: Link, stations: "list[Station]", period_s: float) -> None:
+        self.link = link
+        self.stations = stations
+        self.error: str | None = "not opened yet"
+        self.observers: list[FrameObserver] = []
+        self._takers = {
+            identifier.identifier: station
+            for station in stations
+            for identifier in (*station.profile.controller_identifiers, station.profile.command_id)
+        }
+        self._opening: asyncio.Task[None] | None = None
+        self._rejected = 0
+        self._ticks_a_report = max(1, round(1.0 / period_s))
+        self._controller = "active"
+        self._log = structlog.get_logger().bind(bus=link.settings.channel)
+        for station in stations:
+            station.port = self
+
+    def start(self) -> None:
+        """Begin to open the bus."""
+        self._opening = asyncio.create_task(self._keep_trying_to_open())
+
+    async def close(self) -> None:
+        """Close the bus for good."""
+        if self._opening is not None:
+            self._opening.cancel()
+            await asyncio.gather(self._opening, return_exceptions=True)
+        self.link.close()
+
+    def read(self, tick_index: int) -> None:
+        """Take what has arrived to the axes that it is for."""
+        if self.error is not None:
+            return
+        try:
+            messages = self.link.drain()
+        except LinkError as error:
+            self._lose(error)
+            return
+        for message in messages:
+            for observe in self.observers:
+                observe(tick_index, "received", message.arbitration_id, bytes(message.data))
+            self._takers[message.arbitration_id].take(message)
+
+    def send(self, tick_index: int, identifier: Identifier, data: bytes) -> bool | None:
+        """Send a frame; return whether the bus has taken it, or None if the bus is gone."""
+        if self.error is not None:
+            return None
+        try:
+            sent = self.link.send(identifier, data)
+        except LinkError as error:
+            self._lose(error)
+            return None
+        if sent:
+            for observe in self.observers:
+                observe(tick_index, "sent", identifier.identifier, data)
+        return sent
+
+    def publish(self, tick: Tick) -> None:
+        """Tell the log what has changed; what is rejected, once a second."""
+        link = self.link
+        if link.controller_state != self._controller:
+            self._controller = link.controller_state
+            self._log.warning("bus controller", tick=tick.index, state=self._controller)
+        rejected = link.counters.rejected
+        if rejected != self._rejected and tick.index % self._ticks_a_report == 0:
+            self._log.warning("frames rejected", tick=tick.index, new=rejected - self._rejected, total=rejected)
+            self._rejected = rejected
+
+    def _lose(self, error: LinkError) -> None:
+        self.error = str(error)
+        self._log.error("the bus failed", error=self.error)
+        for station in self.stations:
+            station.lose_bus(self.error)
+        self.link.close()
+        self.start()
+
+    async def _keep_trying_to_open(self) -> None:
+        """Open the bus, in a thread since that may take seconds; the axes are disarmed or tripped meanwhile."""
+        while True:
+            try:
+                await self.link.open_in_thread()
+            except LinkError as error:
+                if str(error) != self.error:
+                    self._log.warning("the bus does not open, trying again", error=str(error))
+                self.error = str(error)
+                await asyncio.sleep(self.link.settings.reopen_interval_ms / 1e3)
+            else:
+                self.error = None
+                self._log.info("the bus is open", interface=self.link.settings.interface)
+                return

@@ -1,0 +1,143 @@
+"""An axis as the service runs it: with its drive's frames, its place on a bus, its recording and its reporter."""
+
+import asyncio
+from typing import TYPE_CHECKING, Any
+
+import can
+import structlog
+
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.messages import NO_EFFORT, Command
+from twostage_servo.axis.trips import TripCode
+from twostage_servo.canbus.profile import DriveProfile
+from twostage_servo.service.receiver import Receiver
+from twostage_servo.service.recorder import Record, Recorder
+from twostage_servo.service.reporter import Reporter
+from twostage_servo.service.snapshot import report_axis
+from twostage_servo.service.statistics import TimeHistogram
+from twostage_servo.ticks import Tick
+
+if TYPE_CHECKING:
+    from twostage_servo.service.port import Port
+
+_DROPPED_IN_A_ROW = 2
+"""Commands in a row that the bus did not take, at which the axis trips: one is an accident."""
+
+
+class Station:
+    """One axis of the service.
+
+    Parameters
+    ----------
+    axis
+        The axis.
+    profile
+        How its drive's frames are packed.
+    period_s
+        Length of a tick in s.
+    recording_s
+        Length of the recording in s.
+    dated
+        Whether the drive samples at a rhythm of its own, so that a frame's age dates its sample.
+
+    Attributes
+    ----------
+    axis, profile
+        As given; a configuration that is read again gives another axis.
+    port
+        The bus it is on.
+    receiver
+        Takes the drive's frames to the axis.
+    recorder
+        The last ticks.
+    reporter
+        Tells the log, and keeps the recordings of trips.
+    command
+        What the axis decided on in this tick.
+    feedback_to_command
+        How long it took from a feedback's arrival until the command that used it left, where the bus dates its frames.
+    """
+
+    port: "Port"
+
+    def __init__(
+        self, axis: Axis, profile: DriveProfile, period_s: float, recording_s: float, *, dated: bool = False
+    ) -> None:
+        self.axis = axis
+        self.profile = profile
+        self.receiver = Receiver(profile, period_s, dated=dated)
+        self.recorder = Recorder(max(1, round(recording_s / period_s)))
+        self.reporter = Reporter(self)
+        self.command: Command = NO_EFFORT
+        self.feedback_to_command = TimeHistogram()
+        self._command_counter = 0
+        self._sent_s: float | None = None
+        self._dropped_in_a_row = 0
+
+    @property
+    def name(self) -> str:
+        """The axis' name."""
+        return self.axis.settings.name
+
+    def begin_tick(self, tick: Tick) -> None:
+        """Open a tick."""
+        self.axis.begin_tick(tick.index, tick.missed)
+        self.receiver.begin_tick(tick, self._sent_s)
+
+    def take(self, message: can.Message) -> None:
+        """Take a frame of the drive, or one that only the drive should have received."""
+        self.receiver.take(message, self.axis, self.port.link)
+
+    def update(self) -> None:
+        """Let the axis decide on its effort."""
+        self.command = self.axis.step()
+
+    def write(self, tick: Tick) -> None:
+        """Send the newest command; one that the bus cannot take now is dropped, never kept."""
+        command = self.command
+        data = self.profile.encode_command(command.effort, command.enable, self._next_counter())
+        sent = self.port.send(tick.index, self.profile.command_id, data)
+        if sent is None:
+            return
+        self._sent_s = asyncio.get_running_loop().time() if sent else None
+        self._dropped_in_a_row = 0 if sent else self._dropped_in_a_row + 1
+        if self._dropped_in_a_row >= _DROPPED_IN_A_ROW:
+            self.axis.raise_trip(
+                TripCode.COMMANDS_DROPPED, f"the bus has not taken {self._dropped_in_a_row} commands in a row"
+            )
+        arrived_s = self.receiver.arrived_s
+        if sent and arrived_s is not None and self._sent_s is not None:
+            self.feedback_to_command.add(self._sent_s - arrived_s)
+
+    def publish(self, tick: Tick) -> None:
+        """Record the tick, and tell the log what has changed."""
+        axis, observer = self.axis, self.axis.law.observer
+        self.recorder.add(
+            Record(
+                tick.index, tick.missed, 1e6 * tick.lateness_s, axis.state, axis.drive.position, observer.position,
+                observer.velocity, observer.disturbance, self.command.effort, axis.law.target,
+                axis.law.speed_reference, axis.following_error,
+            )
+        )  # fmt: skip
+        self.reporter.report(tick)
+
+    def lose_bus(self, error: str) -> None:
+        """Trip, and know nothing of the drive any more."""
+        self.axis.raise_trip(TripCode.BUS_FAILED, error)
+        self.axis.drive.forget()
+        self.receiver.forget()
+
+    def disable_drive(self, tick_index: int) -> None:
+        """Tell the drive to disable, as the last thing before the service ends."""
+        data = self.profile.encode_command(0.0, enable=False, counter=self._next_counter())
+        if self.port.send(tick_index, self.profile.command_id, data) is not True:
+            text = "the drive could not be told to disable; its own time-out has to stop it"
+            structlog.get_logger().error(text, axis=self.name, error=self.port.error or "the bus takes no frame")
+
+    def report(self) -> dict[str, Any]:
+        """Return the state of the axis and its bus, ready for JSON."""
+        return report_axis(self)
+
+    def _next_counter(self) -> int:
+        self._command_counter += 1
+        return self._command_counter
