@@ -66,6 +66,11 @@ class Machine:
     axes: tuple[LoadedConfig[Config], ...]
     _file: LoadedConfig[Config] | LoadedConfig[MachineConfig] = field(repr=False)
 
+    @property
+    def is_one_axis(self) -> bool:
+        """Whether the file is that of an axis, not of a machine."""
+        return self._file in self.axes
+
     def problem(self, key: Sequence[str | int], message: str) -> ConfigError:
         """Make an error of what was noticed only after loading; see :meth:`LoadedConfig.problem`."""
         return self._file.problem(key, message)

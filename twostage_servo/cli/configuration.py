@@ -35,17 +35,19 @@ def add_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
 
 
 def load_configuration(options: argparse.Namespace) -> "LoadedConfig[Config]":
-    """Load what the options name.
+    """Load what the options name, which is the configuration of one axis.
 
     Raises
     ------
     CommandError
-        With every problem of the configuration.
+        With every problem of the configuration; or if it is that of a machine of several axes.
     """
-    from twostage_servo.config import load
-
-    with configuration_problems():
-        return load(find_configuration(options.config), options.overrides)
+    machine = load_machine(options)
+    if machine.is_one_axis:
+        return machine.axes[0]
+    files = ", ".join(loaded.source for loaded in machine.axes)
+    text = f"{machine.source} is a machine of several axes, and this is about one: name {files}"
+    raise CommandError(ExitCode.USAGE, "config", text)
 
 
 def load_machine(options: argparse.Namespace) -> "Machine":

@@ -4,11 +4,13 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
-from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
+from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration, load_machine
 from twostage_servo.cli.output import CommandError, ExitCode, print_json, print_line
 
 if TYPE_CHECKING:
     from twostage_servo.axis.design import AxisDesign
+    from twostage_servo.config import Config
+    from twostage_servo.service.station import Station
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -38,10 +40,11 @@ def _check(options: argparse.Namespace) -> ExitCode:
     from pathlib import Path
 
     from twostage_servo.config import Config, describe
-    from twostage_servo.service.assembly import compile_profile, design
+    from twostage_servo.machine import MachineConfig
+    from twostage_servo.service.assembly import build_service
 
     if options.explain:
-        rows = describe(Config)
+        rows = [*describe(Config), *(row for row in describe(MachineConfig) if row.key.startswith("machine"))]
         if options.json:
             print_json({"keys": [{name: getattr(row, name) for name in row.__slots__} for row in rows]})
         else:
@@ -52,14 +55,23 @@ def _check(options: argparse.Namespace) -> ExitCode:
         raise CommandError(ExitCode.USAGE, "usage", "name one configuration, FILE or --config FILE")
     if options.file is not None:
         options.config = Path(options.file)
-    loaded = load_configuration(options)
+    machine = load_machine(options)
     with configuration_problems():
-        profile = compile_profile(loaded)
-        axis_design = design(loaded)
-    config = loaded.config
-    summary = {
-        "config": loaded.source,
-        "valid": True,
+        service = build_service(machine)
+    summaries = [
+        _summary(loaded.config, station) for loaded, station in zip(machine.axes, service.stations, strict=True)
+    ]
+    if options.json:
+        several = {"axes": summaries} if len(summaries) > 1 else summaries[0]
+        print_json({"config": machine.source, "valid": True, **several})
+    else:
+        print_line(f"{machine.source}: valid. " + "\n".join(map(_sentence, summaries)))
+    return ExitCode.DONE
+
+
+def _summary(config: "Config", station: "Station") -> dict[str, Any]:
+    profile, axis = station.profile, station.axis
+    return {
         "axis": config.axis.name,
         "bus": {"interface": config.bus.interface, "channel": config.bus.channel},
         "frames": {
@@ -68,18 +80,19 @@ def _check(options: argparse.Namespace) -> ExitCode:
             "effort_quantum": profile.effort_quantum,
             "position_quantum": profile.position_quantum,
         },
-        "changeover_distance": axis_design.changeover_distance(config.axis.cruise_velocity),
+        "changeover_distance": axis.design.changeover_distance(config.axis.cruise_velocity),
+        "unit": config.axis.unit,
+        "cruise_velocity": config.axis.cruise_velocity,
     }
-    if options.json:
-        print_json(summary)
-    else:
-        print_line(
-            f"{loaded.source}: valid. Axis {config.axis.name} on {config.bus.interface} {config.bus.channel}, command "
-            f"0x{profile.command_id.identifier:x}, feedback 0x{profile.feedback_id.identifier:x}; change-over "
-            f"{summary['changeover_distance']:.4g} {config.axis.unit} before the set-point at "
-            f"{config.axis.cruise_velocity:g} {config.axis.unit}/s."
-        )
-    return ExitCode.DONE
+
+
+def _sentence(summary: dict[str, Any]) -> str:
+    bus, frames, unit = summary["bus"], summary["frames"], summary["unit"]
+    return (
+        f"Axis {summary['axis']} on {bus['interface']} {bus['channel']}, command 0x{frames['command']:x}, feedback "
+        f"0x{frames['feedback']:x}; change-over {summary['changeover_distance']:.4g} {unit} before the set-point at "
+        f"{summary['cruise_velocity']:g} {unit}/s."
+    )
 
 
 def _explain(row: Any) -> str:
