@@ -121,7 +121,7 @@ class ControlSocket:
             return
         self._clients.add(client)
         try:
-            while line := await reader.readline():
+            while line := await self._read_line(client, reader):
                 answer = self._answer(client, line)
                 # A pass of the loop for each request, and for each piece of a long answer: a tick may come between.
                 client.busy = True
@@ -130,16 +130,24 @@ class ControlSocket:
                     await writer.drain()
                     await asyncio.sleep(0)
                 client.busy = False
-        except ValueError:  # asyncio's answer to a line beyond the limit
-            client.send(encode(_failure("bad_request", f"a request must fit in {_LONGEST_LINE} bytes")))
         except ConnectionError as error:
             self._log.info("client lost", peer=client.peer, error=str(error))
+        except Exception as error:  # noqa: BLE001 - a defect in one answer ends this connection, and nothing else
+            self._log.error("a client could not be served", peer=client.peer, exc_info=error)
         finally:
             self._clients.discard(client)
             self._leave(client.peer)
             client.close()
             with contextlib.suppress(OSError):  # the other side may be gone already, which ends it as well
                 await writer.wait_closed()
+
+    async def _read_line(self, client: "_Client", reader: asyncio.StreamReader) -> bytes:
+        """Return the next line; nothing at the end of the connection, or where it must end."""
+        try:
+            return await reader.readline()
+        except ValueError:  # asyncio's answer to a line beyond the limit
+            client.send(encode(_failure("bad_request", f"a request must fit in {_LONGEST_LINE} bytes")))
+            return b""
 
     def _answer(self, client: "_Client", line: bytes) -> Answer:
         try:
