@@ -88,7 +88,7 @@ def test_every_request_state_and_field_is_in_the_page_on_the_control_socket() ->
     for state in State:
         assert f"`{state}`" in CONTROL_SOCKET
     snapshot = build_service(load(None)).snapshot()
-    groups = {name for name, value in snapshot.items() if isinstance(value, dict)} | {"move", "trip"}
+    groups = {name for name, value in snapshot.items() if isinstance(value, dict)} | {"move", "trip", "realtime"}
     assert set(re.findall(r"^\| `(\w+)` \|", section("The snapshot"), re.MULTILINE)) == groups
     for name in (*snapshot["inputs"], *snapshot["lease"], "rejected_by_reason", "file_error", "escalation"):
         assert f"`{name}`" in CONTROL_SOCKET

@@ -3,13 +3,17 @@ import contextlib
 import itertools
 import math
 import selectors
+from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from twostage_servo.simulation.virtual_clock import VirtualClockLoop, run
-from twostage_servo.ticks import Tick, Ticks, real_time_loop
+from twostage_servo.ticks import Tick, Ticks, WakeMargin, real_time_loop
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 PERIOD_S = 0.01
 
@@ -172,6 +176,121 @@ def test_the_real_time_loop_waits_in_select_and_gives_the_same_ticks() -> None:
     async def main() -> list[Tick]:
         assert isinstance(asyncio.get_running_loop()._selector, selectors.SelectSelector)  # type: ignore[attr-defined]
         ticks = Ticks(0.001)
+        return [await anext(ticks) for _ in range(5)]
+
+    with asyncio.Runner(loop_factory=real_time_loop) as runner:
+        served = runner.run(main())
+    assert all(tick.index == before.index + 1 + tick.missed for before, tick in itertools.pairwise(served))
+    assert all(tick.lateness_s >= 0.0 for tick in served)
+
+
+# With a margin --------------------------------------------------------------------------------------------------------
+
+
+class HostLoop(VirtualClockLoop):
+    """Simulated time on a host that wakes up late, and whose clock moves on by 100 ns each time it is read."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.latencies_s: Iterator[float] = itertools.repeat(0.0)
+
+    def time(self) -> float:
+        self._now_s += 1e-7
+        return self._now_s
+
+    def _jump_to_next_timer(self) -> None:
+        super()._jump_to_next_timer()
+        self._now_s += next(self.latencies_s)
+
+
+class ToldMargin:
+    """A margin that keeps what it is told."""
+
+    def __init__(self, margin_s: float) -> None:
+        self.margin_s = margin_s
+        self.told_s: list[float] = []
+
+    def learn(self, wake_latency_s: float) -> None:
+        self.told_s.append(wake_latency_s)
+
+
+def on_host(margin: ToldMargin, latencies_s: list[float], bodies_s: list[float]) -> list[Tick]:
+    """The ticks on a host with these wake-up latencies; a body is waited for without a timer, so it needs none."""
+
+    async def main() -> list[Tick]:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, HostLoop)
+        loop.latencies_s = itertools.chain(latencies_s, itertools.repeat(0.0))
+        ticks, served = Ticks(PERIOD_S, margin=margin), []
+        for body_s in [*bodies_s, 0.0]:
+            served.append(await anext(ticks))
+            loop._now_s += body_s
+        return served
+
+    with asyncio.Runner(loop_factory=HostLoop) as runner:
+        return runner.run(main())
+
+
+def test_a_wake_up_within_the_margin_makes_the_tick_punctual() -> None:
+    served = on_host(ToldMargin(300e-6), [100e-6, 299e-6, 0.0, 200e-6], [0.0] * 3)
+    assert [tick.index for tick in served] == [1, 2, 3, 4]
+    for tick in served:
+        assert 0.0 <= tick.lateness_s < 1e-6
+
+
+def test_a_wake_up_beyond_the_margin_is_late_by_the_rest_of_it() -> None:
+    served = on_host(ToldMargin(300e-6), [500e-6, 13e-3], [0.0])
+    assert served[0].lateness_s == pytest.approx(200e-6, abs=2e-6)
+    assert (served[1].index, served[1].missed) == (3, 1)
+    assert served[1].lateness_s == pytest.approx(2.7e-3, abs=2e-6)
+
+
+def test_the_margin_is_told_each_wake_up_latency_but_not_that_of_an_overdue_timer() -> None:
+    margin = ToldMargin(300e-6)
+    served = on_host(margin, [100e-6, 150e-6], [0.0, 12e-3])
+    assert [tick.index for tick in served] == [1, 2, 3]
+    assert margin.told_s == [pytest.approx(100e-6, abs=2e-6), pytest.approx(150e-6, abs=2e-6)]
+
+
+def test_a_body_that_ends_within_the_margin_is_no_wake_up_and_the_tick_is_punctual() -> None:
+    margin = ToldMargin(300e-6)
+    served = on_host(margin, [], [PERIOD_S - 100e-6])
+    assert len(margin.told_s) == 1
+    assert 0.0 <= served[1].lateness_s < 1e-6
+
+
+def test_a_clock_that_stands_still_is_waited_for_and_gives_the_same_ticks() -> None:
+    """Simulated time has no use for a margin; one that is given by mistake must not hang it."""
+    bodies_s = [0.0, 0.034, 0.0, PERIOD_S - 1e-4, 0.0]
+
+    async def main(margin: WakeMargin | None) -> list[tuple[Tick, float]]:
+        return await collect(Ticks(PERIOD_S, margin=margin), bodies_s)
+
+    assert run(main(ToldMargin(300e-6))) == run(main(None))
+
+
+def test_stop_ends_a_wait_with_a_margin_before_it_spins() -> None:
+    async def main() -> tuple[list[Tick], float]:
+        loop = asyncio.get_running_loop()
+        ticks = Ticks(1.0, margin=ToldMargin(1e-3))
+        loop.call_at(2.5, ticks.stop)
+        return [tick async for tick in ticks], loop.time()
+
+    served, ended_s = run(main())
+    assert [tick.index for tick in served] == [1, 2]
+    assert ended_s == 2.5
+
+
+def test_the_current_margin_is_told() -> None:
+    ticks = Ticks(PERIOD_S)
+    assert ticks.margin_s == 0.0
+    ticks.margin = ToldMargin(150e-6)
+    assert ticks.margin_s == 150e-6
+
+
+def test_the_real_time_loop_spins_until_the_deadline() -> None:
+    async def main() -> list[Tick]:
+        ticks = Ticks(0.001, margin=ToldMargin(100e-6))
         return [await anext(ticks) for _ in range(5)]
 
     with asyncio.Runner(loop_factory=real_time_loop) as runner:

@@ -20,6 +20,7 @@ from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.canbus.profile import ProtocolSettings
 from twostage_servo.config_problems import ConfigError, Document, Override, Problem, validation_problems
+from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.settings import Settings
 from twostage_servo.settings_reference import describe, key_text
@@ -37,6 +38,7 @@ class Config(Settings):
     """The whole configuration file."""
 
     service: ServiceSettings = Field(ServiceSettings(), description="The tick and what runs beside it")
+    realtime: RealtimeSettings = Field(RealtimeSettings(), description="What the service asks of its host")
     bus: BusSettings = Field(description="The CAN bus")
     protocol: ProtocolSettings = Field(ProtocolSettings(), description="The drive's frames, as its DBC names them")
     axis: AxisSettings = Field(description="The drive: plant, law, observer, limits")

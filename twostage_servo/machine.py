@@ -13,6 +13,7 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from twostage_servo.config import Config, ConfigError, LoadedConfig, Problem, load, load_as
+from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.settings import Settings
 
@@ -41,6 +42,7 @@ class MachineConfig(Settings):
     """The whole file of a machine of several axes."""
 
     service: ServiceSettings = Field(ServiceSettings(), description="The tick and what runs beside it")
+    realtime: RealtimeSettings = Field(RealtimeSettings(), description="What the service asks of its host")
     machine: MachineSettings = Field(description="The axes")
 
 
@@ -52,8 +54,8 @@ class Machine:
     ----------
     source
         The file as it was named.
-    service
-        Its table ``[service]``.
+    service, realtime
+        Its tables ``[service]`` and ``[realtime]``.
     when_one_trips
         What the other axes do.
     axes
@@ -62,6 +64,7 @@ class Machine:
 
     source: str
     service: ServiceSettings
+    realtime: RealtimeSettings
     when_one_trips: Literal["continue", "stop", "quick_stop", "disarm"]
     axes: tuple[LoadedConfig[Config], ...]
     _file: LoadedConfig[Config] | LoadedConfig[MachineConfig] = field(repr=False)
@@ -78,7 +81,7 @@ class Machine:
     @classmethod
     def of(cls, loaded: LoadedConfig[Config]) -> "Machine":
         """Return the machine of one axis."""
-        return cls(loaded.source, loaded.config.service, "stop", (loaded,), loaded)
+        return cls(loaded.source, loaded.config.service, loaded.config.realtime, "stop", (loaded,), loaded)
 
 
 def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
@@ -119,7 +122,8 @@ def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
     ]
     if problems:
         raise ConfigError(problems)
-    return Machine(machine.source, machine.config.service, settings.when_one_trips, tuple(axes), machine)
+    config = machine.config
+    return Machine(machine.source, config.service, config.realtime, settings.when_one_trips, tuple(axes), machine)
 
 
 def _is_machine(path: Path) -> bool:
@@ -139,7 +143,6 @@ def _load_axis(path: Path, for_axes: Sequence[tuple[str, ...]]) -> LoadedConfig[
 
 def _problems_together(machine: LoadedConfig[MachineConfig], axes: Sequence[LoadedConfig[Config]]) -> Iterator[Problem]:
     seen: dict[str, str] = {}
-    service = machine.config.service
     for loaded in axes:
         config = loaded.config
         name = config.axis.name
@@ -149,9 +152,10 @@ def _problems_together(machine: LoadedConfig[MachineConfig], axes: Sequence[Load
             text = f"{seen[name]} has an axis of this name as well; give each its own"
             yield from loaded.problem(("axis", "name"), text).problems
         seen[name] = loaded.source
-        if config.service not in {ServiceSettings(), service}:
-            text = f"differs from that of {machine.source}, which counts: remove it here"
-            yield from loaded.problem(("service",), text).problems
+        for table, default in (("service", ServiceSettings()), ("realtime", RealtimeSettings())):
+            if getattr(config, table) not in (default, getattr(machine.config, table)):
+                text = f"differs from that of {machine.source}, which counts: remove it here"
+                yield from loaded.problem((table,), text).problems
     for first, second in _different_settings_of_one_bus(axes):
         text = f"differs from that of {first.source}, though it is the same bus: give both the same settings"
         yield from second.problem(("bus",), text).problems

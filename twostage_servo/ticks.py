@@ -4,10 +4,27 @@ import asyncio
 import math
 import selectors
 from dataclasses import dataclass
-from typing import Self
+from typing import Final, Protocol, Self
 
 # The loop runs a timer up to its clock resolution early; such a wake-up still belongs to its deadline.
 _EARLY_PERIODS = 1e-6
+
+_STANDING_READS: Final = 1000
+"""Equal readings of the clock in a row at which it counts as standing still: a real one moves on with each of them."""
+
+
+class WakeMargin(Protocol):
+    """How long before a deadline the timer is to wake :class:`Ticks`, which then spin until the deadline.
+
+    Only for a loop that runs in real time: in simulated time there is nothing to wait for but the deadline itself.
+    """
+
+    @property
+    def margin_s(self) -> float:
+        """The margin for the next tick, s, not negative."""
+
+    def learn(self, wake_latency_s: float) -> None:
+        """Take in how long after the time asked for a timer woke the task, s. Called once a tick, in the loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +62,15 @@ class Ticks:
     start_s : float, optional
         Loop time of index 0, which is not itself served: the first tick is due one period later. By default the time at
         which the iteration begins. One that lies in the past makes the first tick count what it missed.
+    margin : WakeMargin, optional
+        Wake early by this margin and spin until the deadline, which makes a tick more punctual than the host's timers.
+        None, the default, lets the timer itself serve the deadline; it is the only choice that makes sense in
+        simulated time.
+
+    Attributes
+    ----------
+    margin : WakeMargin or None
+        As given; whoever runs the ticks in real time may set it before the first one.
 
     Raises
     ------
@@ -52,12 +78,13 @@ class Ticks:
         If the period is not finite and greater than 0.
     """
 
-    __slots__ = ("_index", "_start_s", "_stopped", "_waiter", "period_s")
+    __slots__ = ("_index", "_start_s", "_stopped", "_waiter", "margin", "period_s")
 
-    def __init__(self, period_s: float, start_s: float | None = None) -> None:
+    def __init__(self, period_s: float, start_s: float | None = None, margin: WakeMargin | None = None) -> None:
         if not (math.isfinite(period_s) and period_s > 0):
             raise ValueError(f"tick period {period_s} s: a finite number greater than 0 is needed")
         self.period_s = period_s
+        self.margin = margin
         self._start_s = start_s
         self._index = 0
         self._stopped = False
@@ -79,8 +106,25 @@ class Ticks:
         if start_s is None:
             start_s = self._start_s = loop.time()
         expected = self._index + 1
+        deadline_s = start_s + expected * self.period_s
+        if self.margin is None:
+            await self._wait(loop, deadline_s)
+            now_s = loop.time()
+        else:
+            now_s = await self._wait_and_spin(loop, deadline_s, self.margin)
+        index = max(expected, math.floor((now_s - start_s) / self.period_s + _EARLY_PERIODS))
+        self._index = index
+        deadline_s = start_s + index * self.period_s
+        return Tick(index, deadline_s, max(0.0, now_s - deadline_s), index - expected)
+
+    @property
+    def margin_s(self) -> float:
+        """How long before the next deadline the timer is to wake, s; 0 without a margin."""
+        return 0.0 if self.margin is None else self.margin.margin_s
+
+    async def _wait(self, loop: asyncio.AbstractEventLoop, when_s: float) -> None:
         waiter = self._waiter = loop.create_future()
-        timer = loop.call_at(start_s + expected * self.period_s, _wake, waiter)
+        timer = loop.call_at(when_s, _wake, waiter)
         try:
             await waiter
         finally:
@@ -88,11 +132,19 @@ class Ticks:
             self._waiter = None
         if self._stopped:
             raise StopAsyncIteration
+
+    async def _wait_and_spin(self, loop: asyncio.AbstractEventLoop, deadline_s: float, margin: WakeMargin) -> float:
+        """Return the loop's time when the deadline has come, to the resolution of its clock."""
+        when_s = deadline_s - margin.margin_s
+        slept = loop.time() < when_s  # what comes of an overdue timer says nothing about the host's wake-ups
+        await self._wait(loop, when_s)
         now_s = loop.time()
-        index = max(expected, math.floor((now_s - start_s) / self.period_s + _EARLY_PERIODS))
-        self._index = index
-        deadline_s = start_s + index * self.period_s
-        return Tick(index, deadline_s, max(0.0, now_s - deadline_s), index - expected)
+        if slept:
+            margin.learn(now_s - when_s)
+        if now_s < deadline_s and (now_s := _spin(loop, deadline_s)) < deadline_s:
+            await self._wait(loop, deadline_s)
+            now_s = loop.time()
+        return now_s
 
     def stop(self) -> None:
         """End the iteration for good, also one that waits just now. Call it from the loop's thread."""
@@ -104,6 +156,20 @@ class Ticks:
 def _wake(waiter: "asyncio.Future[None]") -> None:
     if not waiter.done():
         waiter.set_result(None)
+
+
+def _spin(loop: asyncio.AbstractEventLoop, until_s: float) -> float:
+    """Read the clock until it says so; give its last reading, which is short of that if the clock stands still."""
+    time = loop.time
+    last_s, standing = time(), 0
+    while (now_s := time()) < until_s:
+        if now_s != last_s:
+            last_s, standing = now_s, 0
+        else:
+            standing += 1
+            if standing >= _STANDING_READS:
+                break
+    return now_s
 
 
 def real_time_loop() -> asyncio.SelectorEventLoop:

@@ -314,7 +314,7 @@ def test_a_bus_that_does_not_open_says_why_and_what_to_do(
     [
         ({"options": {"receive_own_messages": True}}, "receive_own_messages cannot be set here"),
         ({"options": {"can_filters": "x", "channel": "y"}}, "can_filters, channel cannot be set here"),
-        ({"bitrate": 500_000}, "bitrate has no effect on interface 'socketcan'"),
+        ({"interface": "virtual", "bitrate": 500_000}, "bitrate has no effect on interface 'virtual'"),
         ({"interface": "pcan", "bitrate": 0}, "greater than 0"),
         ({"max_frames_per_tick": 0}, "greater than or equal to 1"),
         ({"chanel": "can0"}, "Extra inputs"),

@@ -350,6 +350,15 @@ def test_an_offset_beyond_the_largest_identifier_is_refused(tmp_path: Path) -> N
         build_service(load_machine(path))
 
 
+def test_a_bus_that_cannot_carry_the_frames_is_refused(tmp_path: Path) -> None:
+    """Two axes take (95 + 135) bits each 10 ms and 75 each 100 ms, so 47.5 kbit/s at the worst."""
+    pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
+    machine = load_machine(machine_file(tmp_path, pages), ["x:bus.bitrate=47000", "y:bus.bitrate=47000"])
+    with pytest.raises(ConfigError, match=r"bus\.bitrate.*the frames of x, y .* 101 % of 47 kbit/s"):
+        build_service(machine)
+    build_service(load_machine(tmp_path / "machine.toml", ["x:bus.bitrate=48000", "y:bus.bitrate=48000"]))
+
+
 def test_an_override_reaches_the_axis_that_it_names(two_on_one_bus: Path) -> None:
     machine = load_machine(two_on_one_bus, ["y:axis.cruise_velocity=7", "service.tick_ms=5"])
     assert [loaded.config.axis.cruise_velocity for loaded in machine.axes] == [100.0, 7.0]

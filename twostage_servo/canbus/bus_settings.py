@@ -11,7 +11,7 @@ from twostage_servo.settings import Settings, quantity
 _OWN_ARGUMENTS: Final = frozenset(
     {"interface", "channel", "bitrate", "can_filters", "ignore_config", "config_context", "receive_own_messages"}
 )
-_NO_BITRATE: Final = frozenset({"socketcan", "socketcand", "udp_multicast", "virtual"})
+_NO_BITRATE: Final = frozenset({"socketcand", "udp_multicast", "virtual"})
 
 
 class BusSettings(Settings):
@@ -24,7 +24,7 @@ class BusSettings(Settings):
     bitrate: int | None = quantity(
         None,
         unit="bit/s",
-        description="Bit rate, for interfaces that set it; for socketcan 'ip link' does",
+        description="Bit rate, for interfaces that set it; with socketcan what 'ip link' has set, to check the load",
         gt=0,
         le=1_000_000,
     )

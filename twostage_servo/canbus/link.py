@@ -261,7 +261,7 @@ class Link:
     def _open_interface(self) -> can.BusABC:
         settings = self.settings
         options: dict[str, Any] = dict(settings.options)
-        if settings.bitrate is not None:
+        if settings.bitrate is not None and settings.interface != "socketcan":  # which takes it from 'ip link'
             options["bitrate"] = settings.bitrate
         if settings.interface == "udp_multicast":
             options.setdefault("hop_limit", 0)  # python-can's 1 would let the frames leave the host

@@ -43,6 +43,7 @@ def _run(options: argparse.Namespace) -> ExitCode:
 
     from twostage_servo.service.assembly import build_service
     from twostage_servo.service.log import open_log
+    from twostage_servo.service.punctual import punctual
     from twostage_servo.ticks import real_time_loop
 
     machine = _load_for_processes(options)
@@ -50,7 +51,7 @@ def _run(options: argparse.Namespace) -> ExitCode:
     try:
         with configuration_problems():
             service = build_service(machine)
-        with asyncio.Runner(loop_factory=real_time_loop) as runner:
+        with asyncio.Runner(loop_factory=real_time_loop) as runner, punctual(service, machine.realtime):
             runner.run(_serve(service, machine, options))
     finally:
         writer.close()

@@ -9,8 +9,9 @@ import can
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
+from twostage_servo.canbus.bus_load import CyclicFrame, bus_load
 from twostage_servo.canbus.link import BusSettings, Link
-from twostage_servo.canbus.profile import DriveProfile, ProtocolError
+from twostage_servo.canbus.profile import DriveProfile, Feedback, Heartbeat, ProtocolError
 from twostage_servo.config import Config, LoadedConfig
 from twostage_servo.machine import Machine
 from twostage_servo.service.address import own_socket
@@ -170,8 +171,43 @@ def _build_port(
         heard += profile.controller_identifiers
         if settings.interface not in _ECHOING:
             heard.append(profile.command_id)  # which only somebody else can have sent
+    _check_load(settings, members, tick_s)
     link = Link(settings, heard, functools.partial(opener, settings) if opener is not None else None)
     return Port(link, [station for _, station in members], tick_s)
+
+
+def _check_load(settings: BusSettings, members: list[tuple[LoadedConfig[Config], Station]], tick_s: float) -> None:
+    if settings.bitrate is None:
+        return
+    frames = [frame for loaded, station in members for frame in cyclic_frames(loaded, station.profile, tick_s)]
+    load = bus_load(frames, settings.bitrate)
+    if load > 1.0:
+        names = ", ".join(station.name for _, station in members)
+        raise members[0][0].problem(
+            ("bus", "bitrate"),
+            f"the bus cannot carry it: the frames of {names} on a tick of {1e3 * tick_s:g} ms take up to "
+            f"{100.0 * load:.3g} % of {settings.bitrate / 1e3:g} kbit/s; raise the bit rate or service.tick_ms, or use "
+            "another bus for some of the axes",
+        )
+
+
+def cyclic_frames(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: float) -> list[CyclicFrame]:
+    """Return the frames that service and drive exchange for ever, on a tick of so many seconds.
+
+    A drive answers each command, or sends at a rhythm of its own that is taken for the tick's. Its heartbeat is taken
+    to come three times in its time-out. The index message is left out: it comes in homing alone.
+    """
+    command = profile.encode_command(0.0, enable=False, counter=0)
+    feedback = profile.encode_feedback(Feedback(0.0, 0, False, False, 0, False, False, False, False, False))
+    frames = [
+        CyclicFrame("command", len(command), profile.command_id.extended, tick_s),
+        CyclicFrame("feedback", len(feedback), profile.feedback_id.extended, tick_s),
+    ]
+    if profile.heartbeat_id is not None:
+        heartbeat = profile.encode_heartbeat(Heartbeat(0, 0))
+        period_s = loaded.config.axis.limits.heartbeat_ms / 3e3
+        frames.append(CyclicFrame("heartbeat", len(heartbeat), profile.heartbeat_id.extended, period_s))
+    return frames
 
 
 def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> None:
@@ -183,8 +219,9 @@ def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> N
         If the parts do not fit together, or something has changed that only a restart can follow.
     """
     before, now = ([loaded.config.axis.name for loaded in machine.axes] for machine in (running, fresh))
-    if fresh.service != running.service:
-        raise fresh.problem(("service",), f"[service] {_RESTART}")
+    for table in ("service", "realtime"):
+        if getattr(fresh, table) != getattr(running, table):
+            raise fresh.problem((table,), f"[{table}] {_RESTART}")
     if (fresh.when_one_trips, now) != (running.when_one_trips, before):
         raise fresh.problem(("machine",), f"[machine], or the name of an axis, {_RESTART}")
     axes = [

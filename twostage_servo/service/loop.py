@@ -51,6 +51,10 @@ class ServoService:
         Index of the latest tick in which a defect showed, and which does not count as completed; or None.
     publishers
         Called at the end of each tick; they must not wait.
+    after_tick
+        Called with the tick and the loop's time in s when the tick is over: for work that fits into the idle time.
+    host
+        Tells how punctual the host lets the service be; None where it runs in simulated time.
     """
 
     def __init__(
@@ -64,6 +68,8 @@ class ServoService:
         self.uptime_s = 0.0
         self.desk = Desk(self)
         self.publishers: list[Publisher] = []
+        self.after_tick: Callable[[Tick, float], None] | None = None
+        self.host: Callable[[], dict[str, Any]] | None = None
         self.failure: Exception | None = None
         self.failed_tick: int | None = None
         self._group = Group(group_reaction)
@@ -103,8 +109,11 @@ class ServoService:
                     self.publish(tick)
                 except Exception as error:  # noqa: BLE001 - likewise
                     self._fail(tick, error, in_control=False)
-                self.statistics.end(begun_s, read_s, updated_s, written_s, now_s())
+                ended_s = now_s()
+                self.statistics.end(begun_s, read_s, updated_s, written_s, ended_s)
                 self._end_at_rest()
+                if self.after_tick is not None:
+                    self.after_tick(tick, ended_s)
         finally:
             try:
                 for station in self.stations:

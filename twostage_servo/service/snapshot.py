@@ -21,6 +21,7 @@ def report_service(service: "ServoService") -> dict[str, Any]:
         "uptime_s": round(service.uptime_s, 3),
         "lease": {"holder": service.desk.lease.holder},
         "ticks": service.statistics.summary(),
+        "realtime": None if service.host is None else service.host(),
     }
 
 

@@ -1,0 +1,51 @@
+"""The table ``[realtime]``: what the service asks of its host."""
+
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from twostage_servo.settings import Settings, quantity
+
+
+class RealtimeSettings(Settings):
+    """Punctual ticks: spinning, scheduling, memory, garbage collection."""
+
+    spin: Literal["off", "auto"] | float = quantity(
+        "auto",
+        unit="µs",
+        description="How long before a tick to wake up and spin: off, auto (learnt from the host), or up to 1000 µs",
+        union_mode="left_to_right",
+    )
+    priority: int = quantity(
+        0,
+        unit="1",
+        description="SCHED_FIFO priority of the loop's thread; 0 leaves the scheduling as it is",
+        ge=0,
+        le=99,
+    )
+    cpus: list[int] = Field(
+        default_factory=list,
+        description="CPUs that the service may run on; empty leaves that as it is",
+        max_length=1024,
+    )
+    lock_memory: bool = Field(False, description="Keep the whole process in memory, so that no tick waits for a disk")
+    collect_garbage: Literal["between_ticks", "python"] = Field(
+        "between_ticks",
+        description="When Python looks for cyclic garbage: in the idle time after a tick, or whenever it likes",
+    )
+
+    @field_validator("spin")
+    @classmethod
+    def _is_a_margin(cls, spin: str | float) -> str | float:
+        if not isinstance(spin, str) and not 0.0 <= spin <= 1000.0:
+            raise ValueError('"off", "auto", or a number of µs from 0 to 1000 is needed')
+        return spin
+
+    @field_validator("cpus")
+    @classmethod
+    def _are_numbers_of_cpus(cls, cpus: list[int]) -> list[int]:
+        if any(not 0 <= cpu <= 8191 for cpu in cpus):
+            raise ValueError("a CPU is named by its number from 0 on, as in /proc/cpuinfo")
+        if len(set(cpus)) < len(cpus):
+            raise ValueError("a CPU is named twice; name each once")
+        return sorted(cpus)
