@@ -5,6 +5,7 @@ import math
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
+from random import Random
 
 import pytest
 from hypothesis import given, settings
@@ -220,6 +221,25 @@ def test_an_encoder_that_freezes_in_mid_move_is_noticed_within_20_mm(velocity: f
     assert trip_of(rig) in {TripCode.JAM, TripCode.POSITION_JUMP}
     assert rig.state() is State.TRIPPED
     assert abs(rig.position - at) < 20.0
+
+
+@pytest.mark.parametrize("velocity", [2.0, 5.0, 10.0, 20.0, 40.0, 100.0])
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_an_encoder_that_turns_round_in_a_cruise_is_noticed_within_5_mm(velocity: float, noise: float) -> None:
+    """Ten times the innovation limit; a quick stop by an estimate that counts the wrong way would run on."""
+    random = Random(1)  # noqa: S311 - noise
+    rig = rig_of()
+    rig.sees = lambda position: position + random.gauss(0.0, noise)
+    rig.cruising(2000.0, velocity)
+    place = rig.position
+    rig.sees = lambda position: 2.0 * place - position + random.gauss(0.0, noise)
+    rig.sample = rig.sees(rig.position)
+    while rig.axis.trip is None:
+        rig.tick()
+    assert abs(rig.position - place) < 5.0
+    assert trip_of(rig) is (TripCode.SIGN_REVERSED if velocity < 40.0 else TripCode.POSITION_JUMP)
+    rig.seconds(1.0)
+    assert abs(rig.position - place) < 7.0
 
 
 def test_an_axis_held_fast_is_jammed_though_its_encoder_trembles() -> None:

@@ -28,7 +28,7 @@ class Bench:
     def run(self, efforts: list[float], load: float = 0.0) -> "Bench":
         for effort in efforts:
             self.observer.update(self.position, effort)
-            self.test.update(self.position, effort, self.observer.innovation, LIMIT)
+            self.test.update(self.position, effort, self.observer, LIMIT)
             total = effort - load
             self.position += self.plant.a12 * self.velocity + self.plant.b1 * total
             self.velocity = self.plant.a22 * self.velocity + self.plant.b2 * total
@@ -85,7 +85,8 @@ def test_the_numbers_are_the_sums_by_hand() -> None:
     ]
     sums = [0.0] * 3
     for innovation, effort in zip(innovations, efforts, strict=True):
-        bench.test.update(0.1, effort, innovation, LIMIT)
+        bench.observer.innovation = innovation
+        bench.test.update(0.1, effort, bench.observer, LIMIT)
         for index, other in enumerate(others):
             other.update(0.1, effort)
             sums[index] = FORGETTING * sums[index] + other.innovation**2
@@ -96,6 +97,36 @@ def test_the_numbers_are_the_sums_by_hand() -> None:
     needed = LEAST_SURPRISE * LIMIT * (1.0 if factor < 0.0 else 2.0)
     expected = factor if own**0.5 > needed and own > EVIDENCE * least else None
     assert bench.test.better_gain_factor == expected
+
+
+@pytest.mark.parametrize("velocity", [5.0, 10.0, 20.0, 100.0])
+def test_a_motion_that_is_mirrored_is_told_by_its_third_sample(velocity: float) -> None:
+    """At a constant speed, where the gain itself says nothing; its samples go back as they came."""
+    bench = Bench(1.0)
+    bench.run([velocity * 14.0 / 180.0] * 300)
+    bench.verdicts.clear()
+    place = bench.position
+    for _ in range(6):
+        bench.test.update(2.0 * place - bench.position, velocity * 14.0 / 180.0, update(bench, place), LIMIT)
+        bench.position += velocity * PERIOD_S
+        bench.verdicts.append(bench.test.better_gain_factor)
+    assert bench.verdicts[:3] == [None] * 3  # the first sample is still where the axis turned round
+    assert bench.verdicts[3] == -1.0
+
+
+def update(bench: Bench, place: float) -> DisturbanceObserver:
+    bench.observer.update(2.0 * place - bench.position, bench.velocity * 14.0 / 180.0)
+    return bench.observer
+
+
+@pytest.mark.parametrize("rebound", [0.0, 0.3, 0.6])
+def test_a_collision_is_not_a_mirrored_motion(rebound: float) -> None:
+    bench = Bench(1.0)
+    bench.run([20.0 * 14.0 / 180.0] * 300)
+    bench.verdicts.clear()
+    bench.velocity *= -rebound
+    bench.run([20.0 * 14.0 / 180.0] * 20)
+    assert set(bench.verdicts) == {None}
 
 
 def test_another_origin_and_a_missing_sample_surprise_nobody() -> None:

@@ -7,12 +7,19 @@ from pathlib import Path
 
 import pytest
 
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.machine import Machine
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.supervision import Supervision
+from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import main
 from twostage_servo.config import load
+from twostage_servo.control.two_stage import TwoStageLaw
 from twostage_servo.faults.campaign import Campaign, Cell
 from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.report import as_json, as_markdown, as_page, as_text
 from twostage_servo.faults.table import MEANINGS, TABLE, Fault, Phase
+from twostage_servo.faults.world import World
 from twostage_servo.service.log import open_log
 
 SHARE = [
@@ -21,7 +28,8 @@ SHARE = [
     (17, Phase.CRUISING), (18, Phase.SETTLING), (19, Phase.CRUISING), (20, Phase.SETTLING), (21, Phase.HOLDING),
     (22, Phase.IDLE), (24, Phase.CRUISING), (27, Phase.HOLDING), (28, Phase.CRUISING), (29, Phase.ACCELERATING),
     (30, Phase.SETTLING), (31, Phase.HOLDING), (33, Phase.CRUISING), (34, Phase.HOLDING), (35, Phase.CRUISING),
-    (36, Phase.CRUISING), (40, Phase.CRUISING), (41, Phase.CRUISING), (43, Phase.CRUISING), (44, Phase.CHANGEOVER),
+    (36, Phase.CRUISING), (36, Phase.HOMING), (26, Phase.JOGGING),
+    (40, Phase.CRUISING), (41, Phase.CRUISING), (43, Phase.CRUISING), (44, Phase.CHANGEOVER),
     (45, Phase.HOLDING), (46, Phase.CRUISING), (49, Phase.SETTLING), (51, Phase.CRUISING), (52, Phase.CRUISING),
     (53, Phase.CRUISING),
 ]  # fmt: skip
@@ -71,7 +79,11 @@ def test_the_verdict_can_fail(campaign: Campaign) -> None:
     cell = campaign.run(tight, Phase.CRUISING)
     assert cell.observed == cell.expected == "Q"
     assert not cell.met
-    unhappy = dataclasses.replace(fault, check=lambda _: "something else")
+
+    async def complain(_: World) -> str:
+        return "something else"
+
+    unhappy = dataclasses.replace(fault, check=complain)
     assert campaign.run(unhappy, Phase.CRUISING).wrong == "something else"
 
 
@@ -168,7 +180,96 @@ def test_a_miss_is_an_exit_code_and_unknown_faults_are_bad_usage(capsys: pytest.
 
 def test_a_fault_expects_a_refusal_to_arm_where_it_would_disable() -> None:
     by_number: dict[int, Fault] = {fault.number: fault for fault in TABLE}
-    assert by_number[33].expectation(Phase.IDLE, "continue") == "R"
-    assert by_number[1].expectation(Phase.IDLE, "continue") == "T"
-    assert by_number[34].expectation(Phase.HOLDING, "continue") == "R"
-    assert by_number[34].expectation(Phase.CRUISING, "continue") == "Q"
+    config = load(None).config
+    assert by_number[33].expectation(Phase.IDLE, config) == "R"
+    assert by_number[1].expectation(Phase.IDLE, config) == "T"
+    assert by_number[34].expectation(Phase.HOLDING, config) == "R"
+    assert by_number[34].expectation(Phase.CRUISING, config) == "Q"
+
+
+def run(number: int, phase: Phase, name: str = "", seed: int = 1) -> Cell:
+    fault = next(fault for fault in TABLE if fault.number == number and name in fault.name)
+    return Campaign(load(None), seed).run(fault, phase)
+
+
+def test_a_run_without_ticks_to_compare_is_wrong(campaign: Campaign) -> None:
+    def look_away(world: World, _: object) -> None:
+        world.keeps_samples = False
+
+    fault = next(fault for fault in TABLE if fault.number == 41)
+    cell = campaign.run(dataclasses.replace(fault, inject=look_away), Phase.HOLDING)
+    assert not cell.met
+    assert "ticks can be compared" in cell.wrong
+
+
+def test_a_busy_host_is_compared_between_the_ticks(campaign: Campaign) -> None:
+    """Late ticks meet none of the undisturbed run's, and yet the two are not the same."""
+    fault = next(fault for fault in TABLE if fault.number == 41)
+    cell = campaign.run(fault, Phase.HOLDING)
+    assert cell.met
+    assert 0.05 < cell.travel < cell.bound < 5.0
+
+
+def test_a_bump_at_a_new_set_point_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    set_target = TwoStageLaw.set_target
+
+    def forget_the_sum(law: TwoStageLaw, target: float, velocity: float) -> None:
+        set_target(law, target, velocity)
+        law._sum = 0.0
+
+    monkeypatch.setattr(TwoStageLaw, "set_target", forget_the_sum)
+    assert "at once" in run(44, Phase.CRUISING).wrong
+
+
+def test_a_jam_that_is_noticed_by_its_consequences_only_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Supervision, "_jam", lambda _: iter(()))
+    cell = run(30, Phase.IDLE)
+    assert cell.observed == cell.expected
+    assert "the jam was noticed after" in cell.wrong
+
+
+def test_a_switch_that_nobody_gets_off_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    move_to = Axis.move_to
+
+    def move_if_reset(axis: Axis, target: float, velocity: float) -> object:
+        if axis.drive.positive_limit or axis.drive.negative_limit:
+            raise Refused("limit_switch", "no way is free")
+        return move_to(axis, target, velocity)
+
+    monkeypatch.setattr(Axis, "move_to", move_if_reset)
+    assert "off the switch was refused" in run(34, Phase.CRUISING).wrong
+
+
+def test_the_more_severe_trip_gives_the_letter(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = run(36, Phase.CRUISING, "500 ms")
+    assert (cell.met, cell.observed, cell.trip) == (True, "Z", "missed_ticks+drive_fault")
+    raise_trip = Machine.raise_trip
+
+    def first_trip_only(machine: Machine, code: TripCode, cause: str) -> None:
+        if machine.trip is None:
+            raise_trip(machine, code, cause)
+
+    monkeypatch.setattr(Machine, "raise_trip", first_trip_only)
+    cell = run(36, Phase.CRUISING, "500 ms")
+    assert (cell.met, cell.observed, cell.trip) == (False, "Q", "missed_ticks")
+
+
+def test_what_a_stall_has_to_come_to_follows_from_the_limits() -> None:
+    stall = next(fault for fault in TABLE if "50 ms" in fault.name and fault.number == 36)
+    letters = {
+        override: stall.expectation(Phase.CRUISING, load(None, [override]).config)
+        for override in (
+            "axis.limits.missed_ticks=2",
+            "axis.limits.missed_ticks=5",
+            "simulation.command_timeout_ms=50",
+        )
+    }
+    assert list(letters.values()) == ["Q", "T", "Z"]
+
+
+def test_an_axis_searches_if_it_can_and_is_left_alone_if_not() -> None:
+    def phases(*overrides: str) -> set[Phase]:
+        return {phase for _, phase in Campaign(load(None, overrides), seed=1).cells()}
+
+    assert phases() == set(Phase)
+    assert phases("protocol.feedback.home_switch=false") == set(Phase) - {Phase.HOMING}

@@ -126,7 +126,7 @@ class Motion:
             # By the speed of the whole move: what a wrong pole does shows while the axis slows down.
             self._speed_of_late = max(_FADING * self._speed_of_late, abs(self.law.observer.velocity))
             limit = self._innovation_limit(self._speed_of_late)
-            self.model_test.update(sample, before, self.law.observer.innovation, limit)
+            self.model_test.update(sample, before, self.law.observer, limit)
             self._compare_with_the_last(sample)
         return self._effort
 

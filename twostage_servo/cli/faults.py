@@ -10,7 +10,7 @@ from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, not
 if TYPE_CHECKING:
     from twostage_servo.faults.campaign import Cell
 
-_PHASES = ("idle", "accelerating", "cruising", "change-over", "settling", "holding")
+_PHASES = ("idle", "accelerating", "cruising", "change-over", "settling", "holding", "homing", "jogging")
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -19,9 +19,9 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "faults",
         help="inject every fault into this axis in simulated time: how it reacts, how far it travels",
         description="Inject 54 faults of bus, encoder, drive, host, operator and disk into the running service, in "
-        "six phases of a move, in simulated time on the axis of a configuration. Shows the reaction, and the travel "
-        "after the fault against the largest that the limits allow. Five faults need real processes and real time; "
-        "they run on a loopback bus.",
+        "six phases of a move, the severe ones while homing and jogging as well, in simulated time on the axis of a "
+        "configuration. Shows the reaction, and the travel that it costs against what the limits allow. Five faults "
+        "need real processes and real time; --simulated leaves them out.",
     )
     add_options(faults, required=False)
     faults.add_argument("--fault", type=int, action="append", metavar="N", help="only this fault; may be repeated")

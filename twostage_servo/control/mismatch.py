@@ -7,6 +7,11 @@ hypothesis the innovations are smallest. A load that steps surprises all hypothe
 the answer to the effort tells them apart. In an exponential window their squares are summed and compared:
 multiple-model estimation (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
 Navigation*, 2001, section 11.6), with a threshold on the ratio in place of its probabilities.
+
+An encoder whose sign turns round in mid-move is a case of its own. At a constant speed it surprises all of them alike:
+they all expect the axis to go on. So a further hypothesis expects, from each tick anew, the mirrored motion on a
+mirrored plant, and is kept for as long as it explains more than the model does. Nothing else mirrors a motion from one
+sample to the next: not a load, which takes its time, and not a collision, whose rebound is slower.
 """
 
 from typing import Final
@@ -29,6 +34,13 @@ decided: what quantisation and dates leave. A scale needs twice as much: a pole 
 axis settles."""
 
 
+MIRRORED_EVIDENCE: Final = 50.0
+"""Likewise for the mirrored motion: a rebound from a collision would have to have 0.7 to 1.3 times the speed before."""
+
+MIRRORED_TICKS: Final = 3
+"""Samples that a mirrored motion has to explain: a spike is one, and comes back with the next."""
+
+
 class ModelTest:
     """Compares the model with the hypotheses; give it each tick once.
 
@@ -47,7 +59,10 @@ class ModelTest:
         Root of the model's own sum of squared innovations in the window, in axis unit.
     """
 
-    __slots__ = ("_limit", "_observers", "_sum", "_sums", "surprise")
+    __slots__ = (
+        "_limit", "_mirrored", "_mirrored_sum", "_mirrored_ticks", "_observers", "_sum", "_sum_since", "_sums", "_way",
+        "surprise",
+    )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel) -> None:
         self._observers = []
@@ -55,10 +70,15 @@ class ModelTest:
             sampled = Plant(factor * plant.gain, plant.pole).discretise(period_s)
             gain = kalman_gain(sampled, noise).predictor
             self._observers.append(DisturbanceObserver(sampled, gain, noise.disturbance_memory))
+            if factor == -1.0:
+                self._mirrored = DisturbanceObserver(sampled, gain, noise.disturbance_memory)
+        self._way = 2.0 * self._mirrored.plant.a12
         self._limit = 0.0
         self._sums = [0.0] * len(GAIN_FACTORS)
         self._sum = 0.0
         self.surprise = 0.0
+        self._mirrored_sum = self._sum_since = 0.0
+        self._mirrored_ticks = 0
 
     def start(self, observer: DisturbanceObserver) -> None:
         """Begin afresh from the estimate of the law's observer."""
@@ -66,29 +86,33 @@ class ModelTest:
             hypothesis.continue_from(observer)
         self._sums = [0.0] * len(GAIN_FACTORS)
         self._sum = self.surprise = 0.0
+        self._mirror(observer)
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         for hypothesis in self._observers:
             hypothesis.position += distance
+        self._mirrored.position += distance
 
     def predict(self, effort: float) -> None:
         """Account for a period without a sample, in which `effort` (effort unit) acted."""
         for hypothesis in self._observers:
             hypothesis.predict(effort)
+        self._mirrored.predict(effort)
 
-    def update(self, sample: float, effort: float, innovation: float, limit: float) -> None:
+    def update(self, sample: float, effort: float, model: DisturbanceObserver, limit: float) -> None:
         """Take what is known of a tick.
 
         Parameters
         ----------
         sample, effort
             ``y(k-1)`` in axis unit and ``u(k-1)`` in effort unit.
-        innovation
-            What the sample was to the model itself, in axis unit.
+        model
+            The model's own observer, which has taken the sample already.
         limit
             What it may be at the present speed, in axis unit: the test is decided in shares of that.
         """
+        innovation = model.innovation
         self._limit = limit
         self._sum = FORGETTING * self._sum + innovation * innovation
         self.surprise = self._sum**0.5
@@ -96,12 +120,30 @@ class ModelTest:
         for index, hypothesis in enumerate(self._observers):
             hypothesis.update(sample, effort)
             sums[index] = FORGETTING * sums[index] + hypothesis.innovation * hypothesis.innovation
+        mirrored = self._mirrored
+        mirrored.update(sample, effort)
+        self._mirrored_sum = FORGETTING * self._mirrored_sum + mirrored.innovation * mirrored.innovation
+        self._sum_since = FORGETTING * self._sum_since + innovation * innovation
+        self._mirrored_ticks += 1
+        if self._sum_since <= self._mirrored_sum:
+            self._mirror(model)
+
+    def _mirror(self, model: DisturbanceObserver) -> None:
+        """Expect from here on that the axis goes back as it came; the plant is mirrored, its load is not."""
+        mirrored = self._mirrored
+        mirrored.continue_from(model)
+        mirrored.position -= self._way * model.velocity
+        mirrored.velocity = -model.velocity
+        self._mirrored_sum = self._sum_since = 0.0
+        self._mirrored_ticks = 0
 
     @property
     def better_gain_factor(self) -> float | None:
         """The gain, as a multiple of the model's, of a hypothesis that explains the window far better; else None."""
         if self.surprise <= LEAST_SURPRISE * self._limit:
             return None
+        if self._mirrored_ticks >= MIRRORED_TICKS and self._sum_since > MIRRORED_EVIDENCE * self._mirrored_sum:
+            return -1.0
         best = min(range(len(GAIN_FACTORS)), key=self._sums.__getitem__)
         factor = GAIN_FACTORS[best]
         enough = factor < 0.0 or self.surprise > 2.0 * LEAST_SURPRISE * self._limit

@@ -5,6 +5,8 @@ says that something is wrong; the latency of a tick or two; and coming to rest. 
 without the fault.
 """
 
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,6 +49,10 @@ class Reference:
             ),
             default=0.0,
         )
+
+    def effort(self) -> float:
+        """Return the magnitude of the effort with which the fault begins, in effort unit."""
+        return next((abs(s.effort) for s in reversed(self.samples) if s.time_s <= self.time_s), 0.0)
 
     def remaining(self) -> float:
         """Return how far it still goes from the fault on, in axis unit."""
@@ -101,6 +107,19 @@ class Budget:
         """Return what the law has to work off: the following error that is allowed at the move's speed."""
         speed = max(self.reference.peak_speed(60.0), self.design.settings.cruise_velocity)
         return max(self.limits.following_error_minimum, self.limits.following_error_time_s * speed)
+
+    def late(self, share: float) -> float:
+        """Return what ticks cost each of which may come late by a share of its period.
+
+        The move begins so much later. Each change of the effort acts so much later, and ends in another place by that
+        time, times the change, times the plant's static gain: at most by all changes of the undisturbed move together.
+        And the samples that are late by as much are bridged, or would trip.
+        """
+        late_s = share * self.tick_s
+        efforts = [sample.effort for sample in self.reference.samples if sample.time_s >= self.reference.time_s - 0.02]
+        changes = sum(abs(after - before) for before, after in itertools.pairwise(efforts))
+        speed = self.reference.peak_speed(60.0)
+        return speed * late_s + self._gain / self._pole * changes * late_s + self.innovation(speed) + self.unnoticed()
 
     # What comes to rest ----------------------------------------------------------------------------------------------
 
@@ -157,6 +176,27 @@ class Budget:
     def doubled_scale(self) -> float:
         """Return what an encoder costs that counts twice: the axis goes half as far as it seems until it is noticed."""
         return 0.5 * self.reference.remaining() + self.wrong_encoder()
+
+    def unreachable_speed(self, share: float) -> float:
+        """Return what a plant costs that reaches only a share of the velocity limit at the effort limit.
+
+        The speed stage works against it as an integrator around the plant's static gain K, so the effort nears what the
+        speed would take, limit/share, by the part ``f22 K / (1 + f12 K)`` of what is missing in a tick. From the
+        effort of the moment to the limit that takes the logarithm of how much is missing then and there; beside it
+        there are the ramp of the reference and the plant's own lag. Then the limit's time begins.
+        """
+        limits, gains = self.limits, self.design.gains
+        reachable = share * limits.velocity
+        static_gain = reachable / limits.effort
+        f12, f22 = abs(gains.f12), abs(gains.f22)
+        part = f22 * static_gain / (1.0 + f12 * static_gain)
+        goal = limits.effort / share
+        ticks = math.log((goal - self.reference.effort()) / (goal - limits.effort)) / part
+        ramp_s = limits.velocity / limits.acceleration
+        saturated_s = ramp_s + 1.0 / self._pole + ticks * self.tick_s
+        return self.stopping(
+            saturated_s + self.noticing_s(self.design.ticks(limits.effort_saturation_ms)), limits.acceleration
+        )
 
     def runaway(self, noticed_s: float) -> float:
         """Return the move's own way, then what the following error allows, then until a braking counts as failed."""

@@ -1,14 +1,17 @@
 """Runs the faults: each cell is one fault in one phase, on an axis of its own, in simulated time."""
 
+import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from random import Random
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from twostage_servo.axis.messages import Refused
-from twostage_servo.axis.state import State
-from twostage_servo.axis.trips import Reaction
+from twostage_servo.axis.state import COMMANDED, State
 from twostage_servo.config import Config, LoadedConfig
 from twostage_servo.control.two_stage import Stage
 from twostage_servo.faults.budget import Budget, Reference
@@ -16,8 +19,10 @@ from twostage_servo.faults.plan import CRUISE_S, LONG_CRUISE_S, cruise_end, plan
 from twostage_servo.faults.table import (
     DISABLED,
     HELD,
+    LETTERS,
     QUICK,
     REFUSED,
+    SEARCHING,
     STOPPED,
     TABLE,
     TOLERATED,
@@ -27,15 +32,20 @@ from twostage_servo.faults.table import (
 from twostage_servo.faults.world import Sample, World, operate
 from twostage_servo.service.assembly import compile_profile, design
 from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.ticks import Tick
 
 if TYPE_CHECKING:
     from twostage_servo.axis.design import AxisDesign
 
-_LETTERS = {Reaction.CONTROLLED_STOP: STOPPED, Reaction.QUICK_STOP: QUICK, Reaction.DISABLE: DISABLED}
 _READY_S = 3.0
 _WAIT_S = 0.3
 """How long a fault has to show before the operator goes on, where the axis is at rest."""
 _AFTER_S = 0.5
+_SEARCH_S = 1.0
+"""How long an operator lets a search or a jog go on after the fault, before stopping it."""
+
+COMPARABLE_SHARE = 0.9
+"""Share of a run's ticks whose place must have one to be compared with in the run without the fault."""
 
 
 class NotOperableError(Exception):
@@ -51,9 +61,11 @@ class Cell:
     fault, name, phase
         Which one, and what the axis did when it began.
     expected, observed
-        Letters of the reactions, see :data:`~twostage_servo.faults.table.MEANINGS`.
+        Letters of the reactions, see :data:`~twostage_servo.faults.table.MEANINGS`; of several trips, that of the most
+        severe.
     trip
-        Code of the trip, or of the refusal; empty if there was none.
+        Code of the trip, or of the refusal; empty if there was none. Where a later trip was more severe, both codes:
+        ``missed_ticks+drive_dropped_out``.
     travel
         How far the axis went after the fault: after a stop, from where it was when the fault or the last move began;
         where the fault is tolerated, the largest distance from where it would have been without it.
@@ -85,9 +97,12 @@ class _Outcome:
 
     fault_s: float
     begun_s: float
+    ended_s: float
+    at_rest: bool
     place: float
     to_go: float
     samples: list[Sample]
+    first: str
     observed: str
     trip: str
     wrong: str
@@ -111,6 +126,7 @@ class Campaign:
         self.seed = seed
         self.design: AxisDesign = design(self.loaded)
         self.profile = compile_profile(self.loaded)
+        self._searching = _with_a_search(self.loaded)
         self._references: dict[tuple[Phase, bool, bool], _Outcome] = {}
 
     def cells(
@@ -119,13 +135,26 @@ class Campaign:
         """Yield what there is to run on this axis."""
         for fault in faults:
             if fault.needs(self.profile, self.loaded.config.protocol):
-                yield from ((fault, phase) for phase in fault.phases if phase in phases)
+                there = [phase for phase in fault.phases if phase in phases]
+                yield from ((fault, phase) for phase in there if phase is not Phase.HOMING or self.can_search)
+
+    @property
+    def can_search(self) -> bool:
+        """Whether the axis can look for a reference: a drive that is homed where it stands needs a home switch."""
+        config = self.loaded.config
+        return config.axis.homing.method != "set_here" or config.protocol.feedback.home_switch is not False
+
+    def configuration(self, phase: Phase) -> LoadedConfig[Config]:
+        """Return the configuration in which a phase is played."""
+        return self._searching if phase is Phase.HOMING else self.loaded
 
     def run(self, fault: Fault, phase: Phase) -> Cell:
         """Run one cell."""
         reference = self._reference(phase, fault)
-        outcome = self._play(phase, fault, inject=True)
-        expected = fault.expectation(phase, self.loaded.config.service.holder_lost)
+        outcome = self._play(phase, fault, reference)
+        expected = fault.expectation(phase, self.loaded.config)
+        if outcome.first == expected and outcome.observed == fault.then:
+            expected = fault.then
         simulation = self.loaded.config.simulation
         budget = Budget(
             self.design,
@@ -138,7 +167,12 @@ class Campaign:
         stopped = outcome.observed in {STOPPED, QUICK, DISABLED, HELD} or (
             outcome.observed == REFUSED and fault.expected != REFUSED
         )
-        travel = _travelled(outcome) if stopped else _deviation(outcome, reference)
+        wrong = outcome.wrong
+        if stopped:
+            travel = _travelled(outcome)
+        else:
+            travel, incomparable = _deviation(outcome, reference, self.design.period_s)
+            wrong = "; ".join(filter(None, (incomparable, wrong)))
         bound = fault.budget(phase, expected)(budget)
         return Cell(
             fault.number,
@@ -149,19 +183,19 @@ class Campaign:
             outcome.trip,
             travel,
             bound,
-            outcome.wrong,
+            wrong,
         )
 
     def _reference(self, phase: Phase, fault: Fault) -> _Outcome:
-        key = (phase, fault.velocity_limit, fault.again)
+        key = (phase, fault.velocity_limit, fault.again and phase not in SEARCHING)
         if fault.prepare is not None:
-            return self._play(phase, fault, inject=False)
+            return self._play(phase, fault)
         if key not in self._references:
-            self._references[key] = self._play(phase, fault, inject=False)
+            self._references[key] = self._play(phase, fault)
         return self._references[key]
 
-    def _play(self, phase: Phase, fault: Fault, *, inject: bool) -> _Outcome:
-        return run(_Script(self, phase, fault, inject=inject).play())
+    def _play(self, phase: Phase, fault: Fault, reference: _Outcome | None = None) -> _Outcome:
+        return run(_Script(self, phase, fault, reference).play())
 
     def velocity(self, fault: Fault) -> float:
         """Return the cruise velocity of the move, in axis unit/s."""
@@ -170,23 +204,35 @@ class Campaign:
 
 
 class _Script:
-    """One run: bring the axis into the phase, let the fault begin, and go on as an operator would."""
+    """One run: bring the axis into the phase, let the fault begin, and go on as an operator would.
 
-    def __init__(self, campaign: Campaign, phase: Phase, fault: Fault, *, inject: bool) -> None:
+    Parameters
+    ----------
+    campaign
+        The axis.
+    phase, fault
+        What begins, and when.
+    reference
+        The same run without the fault; None to make it.
+    """
+
+    def __init__(self, campaign: Campaign, phase: Phase, fault: Fault, reference: _Outcome | None = None) -> None:
         self._campaign = campaign
         self._phase = phase
         self._fault = fault
-        self._inject = inject
+        self._reference = reference
+        self._inject = reference is not None
         # Two sequences, so that the run without the fault is the same up to it.
         self._random = Random(f"{campaign.seed} {phase}")  # noqa: S311 - moments and targets, no secrets
         self._sizes = Random(f"{campaign.seed} {phase} {fault.number} {fault.name}")  # noqa: S311 - likewise
         self._observed = TOLERATED
         self._code = ""
         self._states_before = 0
+        self._states_end: int | None = None
         self._begun_s = self._place = self._to_go = 0.0
 
     async def play(self) -> _Outcome:
-        async with operate(self._campaign.loaded) as world:
+        async with operate(self._campaign.configuration(self._phase)) as world:
             self._plan(world)
             if self._fault.prepare is not None:
                 await self._prepare(world)
@@ -201,15 +247,31 @@ class _Script:
                 world.start, world.target = world.target, world.start  # the next move goes back
             fault_s, self._states_before = world.now_s, len(world.samples)
             self._begun_s, self._place = fault_s, world.place()
+            world.fault_s = world.begun_s = fault_s
             world.fault_place = self._place
             self._to_go = abs(world.target - self._place)
-            if self._inject:
+            if self._reference is not None:
+                world.undisturbed = self._reference.samples
                 self._fault.inject(world, self._sizes)
             await self._go_on(world)
+            world.take_sample()  # a service that has ended makes no ticks, and its axis may go on
             observed, code = self._observe(world)
-            wrong = self._fault.check(world) if self._fault.check is not None and self._inject else None
+            # What a check does to the axis is no travel any more.
+            samples, ended_s = list(world.samples), world.now_s
+            at_rest = abs(world.drive.velocity) <= world.axis.design.rest_velocity
+            wrong = await self._fault.check(world) if self._fault.check is not None and self._inject else None
             return _Outcome(
-                fault_s, self._begun_s, self._place, self._to_go, world.samples, observed, code, wrong or ""
+                fault_s,
+                self._begun_s,
+                ended_s,
+                at_rest,
+                self._place,
+                self._to_go,
+                samples,
+                observed if world.axis.trip is None else LETTERS[world.axis.trip.reaction],
+                observed,
+                code,
+                wrong or "",
             )
 
     def _plan(self, world: World) -> None:
@@ -218,6 +280,10 @@ class _Script:
         world.start = world.drive.position
         share = self._random.random()
         world.target = plan_target(self._campaign.design, world.start, world.velocity, share, cruise_s)
+        if self._phase is Phase.HOMING:
+            homing = world.axis.settings.homing
+            world.velocity = homing.velocity if homing.method == "switch" else homing.slow_velocity
+            world.target = world.start + (homing.travel if homing.direction == "positive" else -homing.travel)
 
     async def _prepare(self, world: World) -> None:
         ahead = {Phase.IDLE: 0.5, Phase.ACCELERATING: 0.02, Phase.CRUISING: 0.5, Phase.CHANGEOVER: 0.9}
@@ -234,7 +300,12 @@ class _Script:
         if self._phase is Phase.IDLE:
             return
         await self._arm(world)
-        world.axis.move_to(world.target, world.velocity)
+        if self._phase is Phase.HOMING:
+            world.axis.home()
+        elif self._phase is Phase.JOGGING:
+            _keep_jogging(world)
+        else:
+            world.axis.move_to(world.target, world.velocity)
         reached: Callable[[], bool] = {
             Phase.ACCELERATING: lambda: abs(_nominal_velocity(world)) >= 0.5 * world.velocity,
             Phase.CRUISING: lambda: self._cruises(world),
@@ -244,6 +315,8 @@ class _Script:
                 and world.axis.law.distance <= settling_begin(self._campaign.design, world.velocity)
             ),
             Phase.HOLDING: lambda: world.axis.state is State.HOLDING,
+            Phase.HOMING: lambda: world.axis.state is State.HOMING and _is_up_to_speed(world),
+            Phase.JOGGING: lambda: world.axis.state is State.JOGGING and _is_up_to_speed(world),
         }[self._phase]
         if not await world.until(reached, 60.0):
             trip = world.axis.trip
@@ -256,7 +329,7 @@ class _Script:
         """Whether the speed has settled; near the end of the cruise, or at its beginning where it has to be long."""
         law, velocity = world.axis.law, world.velocity
         if self._fault.velocity_limit:
-            return abs(_nominal_velocity(world)) >= 0.97 * velocity
+            return _is_up_to_speed(world)
         near = cruise_end(self._campaign.design, velocity)
         return abs(law.speed_reference) >= 0.999 * velocity and law.distance <= near
 
@@ -270,6 +343,13 @@ class _Script:
         elif self._phase is Phase.HOLDING:
             await world.seconds(_WAIT_S)
             await self._move(world)
+        elif self._phase in SEARCHING:
+            await world.seconds(_SEARCH_S)
+            self._states_end = len(world.samples)  # the operator's own stop is no reaction
+            if world.axis.state in COMMANDED:
+                world.axis.stop()
+            await self._follow(world)
+            return
         else:
             await self._follow(world)
         if self._fault.again and world.axis.trip is None:
@@ -296,7 +376,7 @@ class _Script:
         """Move, if the axis can; from here on the travel counts."""
         if world.axis.trip is None and not world.service.is_ending:
             self._begun_s, self._place = world.now_s, world.place()
-            world.fault_place = self._place
+            world.begun_s, world.fault_place = self._begun_s, self._place
             try:
                 world.axis.move_to(world.target, world.velocity)
             except Refused as refused:
@@ -315,14 +395,15 @@ class _Script:
         await world.until(lambda: abs(world.drive.velocity) <= at_rest, 10.0)
 
     def _observe(self, world: World) -> tuple[str, str]:
-        trip = world.axis.trip
+        trip, worse = world.axis.trip, world.axis.escalation
         if trip is not None:
-            return _LETTERS[trip.reaction], trip.code.value
+            codes = [one.code.value for one in (trip, worse) if one is not None]
+            return LETTERS[max(one.reaction for one in (trip, worse) if one is not None)], "+".join(codes)
         if self._observed != TOLERATED:
             return self._observed, self._code
         if self._fault.expected == REFUSED and self._inject:
             return (REFUSED if all(world.refusals) else TOLERATED), next(filter(None, world.refusals), "")
-        after = {sample.state for sample in world.samples[self._states_before :]}
+        after = {sample.state for sample in world.samples[self._states_before : self._states_end]}
         if after & {State.STOPPING.value, State.QUICK_STOPPING.value, State.DISARMING.value}:
             return HELD, ""
         return TOLERATED, ""
@@ -338,20 +419,65 @@ def _travelled(outcome: _Outcome) -> float:
     return max((abs(position - outcome.place) for position in after), default=0.0)
 
 
-def _deviation(outcome: _Outcome, reference: _Outcome) -> float:
-    """Return the largest distance from where the axis would have been, tick by tick since the last move began."""
-    after, designed = (
-        [sample for sample in one.samples if sample.time_s >= one.begun_s - 1e-9] for one in (outcome, reference)
-    )
-    if not after or not designed:
-        return 0.0
-    places = {round((sample.time_s - designed[0].time_s) * 1e4): sample.position for sample in designed}
-    first_s = after[0].time_s
-    return max(
-        (
-            abs(sample.position - places[moment])
-            for sample in after
-            if (moment := round((sample.time_s - first_s) * 1e4)) in places
-        ),
-        default=0.0,
-    )
+def _deviation(outcome: _Outcome, reference: _Outcome, period_s: float) -> tuple[float, str]:
+    """Return the largest distance from where the axis would have been, and what is wrong with that comparison.
+
+    Both runs are taken since their last move began. The ticks of a busy host fall between those of the run without the
+    fault, whose place is interpolated there: on a straight line, so it is off by an eighth of the acceleration times
+    the square of the tick at most. An axis that was at rest at the end of its run would have stayed there; if it was
+    not, what comes later cannot be compared.
+    """
+    run = _since_the_move(outcome)
+    designed = _since_the_move(reference)
+    last_s = math.inf if reference.at_rest else designed[-1][0]
+    comparable = [(time_s, place) for time_s, place in run[1:] if time_s <= last_s + 1e-9]
+    ticks = max(1.0, (outcome.ended_s - outcome.begun_s) / period_s)
+    if len(comparable) < COMPARABLE_SHARE * ticks:
+        wrong = f"only {len(comparable)} of {ticks:.0f} ticks can be compared with the run without the fault"
+    else:
+        wrong = ""
+    if not comparable:
+        return 0.0, wrong
+    times, places = np.array(comparable).T
+    return float(np.max(np.abs(places - np.interp(times, *np.array(designed).T)))), wrong
+
+
+def _since_the_move(outcome: _Outcome) -> list[tuple[float, float]]:
+    """Return time and place since the fault or the last move began, from (0, its place) on."""
+    begun_s = outcome.begun_s
+    return [
+        (0.0, outcome.place),
+        *((s.time_s - begun_s, s.position) for s in outcome.samples if s.time_s > begun_s + 1e-9),
+    ]
+
+
+def _is_up_to_speed(world: World) -> bool:
+    return abs(_nominal_velocity(world)) >= 0.97 * world.velocity
+
+
+def _keep_jogging(world: World) -> None:
+    """Jog, and renew it as an operator does, twice in each time-out, for as long as the axis jogs."""
+    axis, velocity = world.axis, world.heading * world.velocity
+    every = max(1, int(axis.settings.jog_timeout_ms / (2e3 * world.period_s)))
+    axis.jog(velocity)
+
+    def renew(tick: Tick) -> None:
+        if tick.index % every == 0 and axis.state is State.JOGGING:
+            with contextlib.suppress(Refused):
+                axis.jog(velocity)
+
+    world.service.publishers.append(renew)
+
+
+def _with_a_search(loaded: LoadedConfig[Config]) -> LoadedConfig[Config]:
+    """Return a configuration whose axis looks for its reference.
+
+    One that is homed where it stands looks for a home switch, with the speeds and the travel that its settings give for
+    a search: what the axis does about a fault while it searches depends on its state, not on what it searches for.
+    """
+    axis = loaded.config.axis
+    if axis.homing.method != "set_here":
+        return loaded
+    homing = axis.homing.model_copy(update={"method": "switch"})
+    axis = axis.model_copy(update={"homing": homing})
+    return dataclasses.replace(loaded, config=loaded.config.model_copy(update={"axis": axis}))

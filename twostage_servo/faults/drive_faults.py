@@ -9,6 +9,9 @@ from twostage_servo.faults.world import World
 LARGEST_JUMP = 100.0
 """How far an encoder jumps at most, as a multiple of the innovation limit."""
 
+WEAKNESS = 0.95
+"""Share of the velocity that a plant which is too weak reaches at the effort limit."""
+
 Injection = Callable[[World, Random], None]
 
 
@@ -83,7 +86,7 @@ def too_weak(world: World, _: Random) -> None:
     """Let the plant need a little more effort than the limit for the velocity of the move."""
     settings = world.axis.settings
     needed = abs(settings.limits.velocity * settings.plant.pole / settings.plant.gain)
-    world.change(gain_factor=0.95 * needed / settings.limits.effort)
+    world.change(gain_factor=WEAKNESS * needed / settings.limits.effort)
 
 
 def jam(world: World, _: Random) -> None:

@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import errno
-import json
 import os
 import tempfile
 import threading
@@ -13,12 +12,10 @@ from random import Random
 from typing import Any, TextIO, cast
 
 import structlog
-from pydantic import ValidationError
 
-from twostage_servo.axis.messages import Refused
-from twostage_servo.faults.world import World
+from twostage_servo.axis.trips import Reaction
+from twostage_servo.faults.world import OPERATOR, World
 from twostage_servo.service.log import open_log
-from twostage_servo.service.requests import REQUESTS
 from twostage_servo.service.trip_files import TripFiles
 
 Injection = Callable[[World, Random], None]
@@ -26,7 +23,10 @@ Injection = Callable[[World, Random], None]
 LARGEST_RETARGET = 0.25
 """How far a new set-point may lie from the present one, as a share of the move."""
 
-OPERATOR, ANOTHER = "operator", "another operator"
+LATEST_TICK = 0.9
+"""How late a tick of a busy host comes at most, as a share of its period."""
+
+ANOTHER = "another operator"
 
 
 def stall(duration_s: float) -> Injection:
@@ -39,14 +39,37 @@ def stall(duration_s: float) -> Injection:
     return inject
 
 
+def after_a_stall(duration_s: float, tick_s: float, missed_ticks_allowed: int, command_timeout_s: float) -> Reaction:
+    """Return what a stall has to come to by the limits, in an armed axis.
+
+    A drive that hears nothing for longer than its time-out has disabled itself, whatever the service makes of the ticks
+    that it has missed; the last command before a stall is up to a tick older than the stall.
+    """
+    if duration_s + tick_s > command_timeout_s:
+        return Reaction.DISABLE
+    return Reaction.QUICK_STOP if int(duration_s / tick_s + 1e-9) > missed_ticks_allowed else Reaction.NONE
+
+
 def hog(world: World, random: Random) -> None:
-    """Let every tick of the next second be up to 90 % of its period late."""
+    """Let every tick of the next second be late, by up to the largest share of its period."""
     end_s = world.now_s + 1.0
-    world.ticks.hold = lambda: random.uniform(0.0, 0.9) * world.period_s if world.now_s < end_s else 0.0
+    world.ticks.hold = lambda: random.uniform(0.0, LATEST_TICK) * world.period_s if world.now_s < end_s else 0.0
 
 
-def defect(world: World, _: Random) -> None:
-    """Let a defect show in the loop, once."""
+def defect(world: World, random: Random) -> None:
+    """Let a defect show once in what closes the loop: where a tick reads, decides, or writes."""
+    service, part = world.service, random.choice(("read", "update", "write"))
+    sound = getattr(service, part)
+
+    def fail(_: object) -> None:
+        setattr(service, part, sound)
+        raise RuntimeError(f"a defect, injected where the loop is to {part}")
+
+    setattr(service, part, fail)
+
+
+def defect_of_a_publisher(world: World, _: Random) -> None:
+    """Let a defect show once in what is told of each tick."""
     armed = [True]
 
     def fail(_: object) -> None:
@@ -134,7 +157,7 @@ def bad_set_points(world: World, _: Random) -> None:
         '{"op": "jog", "velocity": NaN}',
     ]
     for line in lines:
-        world.refusals.append(_ask(world, line, OPERATOR))
+        world.refusals.append(world.ask(line))
 
 
 def second_client(world: World, _: Random) -> None:
@@ -142,7 +165,7 @@ def second_client(world: World, _: Random) -> None:
     world.service.desk.lease.demand(OPERATOR)
     target = world.drive.position
     for request in ({"op": "move", "position": target}, {"op": "arm"}, {"op": "reset"}, {"op": "jog", "velocity": 1.0}):
-        world.refusals.append(_ask(world, json.dumps(request), ANOTHER))
+        world.refusals.append(world.ask(request, ANOTHER))
 
 
 def client_dies(world: World, _: Random) -> None:
@@ -154,7 +177,7 @@ def client_dies(world: World, _: Random) -> None:
 def reload(world: World, _: Random) -> None:
     """Ask the service to read its configuration again."""
     world.service.desk.reload = lambda: None
-    world.refusals.append(_ask(world, '{"op": "reload"}', OPERATOR))
+    world.refusals.append(world.ask('{"op": "reload"}'))
     world.service.desk.lease.release(OPERATOR)
 
 
@@ -166,17 +189,6 @@ def retarget(world: World, random: Random) -> None:
         max(world.target + random.uniform(-span, span), limits.position_minimum), limits.position_maximum
     )
     world.axis.move_to(world.target, world.velocity)
-
-
-def _ask(world: World, line: str, client: str) -> str | None:
-    """Return the code with which a request is refused, or None if it was carried out."""
-    try:
-        world.service.handle(REQUESTS.validate_json(line), client)
-    except ValidationError:
-        return "bad_request"
-    except Refused as refused:
-        return refused.code
-    return None
 
 
 def _for_ticks(world: World, count: int, act: Callable[[], Any]) -> None:

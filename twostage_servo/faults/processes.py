@@ -17,7 +17,7 @@ from twostage_servo.faults.campaign import Cell, NotOperableError
 from twostage_servo.faults.hosted import ENDED, HUNG, KILLED, STOPPED, HostedRun
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import RefusalError
-from twostage_servo.faults.table import TOLERATED, Phase
+from twostage_servo.faults.table import ALL, TOLERATED, Phase
 
 POWER_CUT = 54
 POWER_CUTS = 20
@@ -39,7 +39,7 @@ class HostedFault(NamedTuple):
 def hosted_cells(phases: Iterable[Phase]) -> list[HostedFault]:
     """Return what there is to run in some phases."""
     wanted = list(phases)
-    cells = [HostedFault(fault, phase) for fault in (STOPPED, KILLED, ENDED, HUNG) for phase in wanted]
+    cells = [HostedFault(fault, phase) for fault in (STOPPED, KILLED, ENDED, HUNG) for phase in ALL if phase in wanted]
     return cells + [HostedFault(POWER_CUT, Phase.IDLE)] * (Phase.IDLE in wanted)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from twostage_servo.faults.campaign import Cell
-from twostage_servo.faults.table import MEANINGS, PROCESS_FAULTS, TABLE, Phase
+from twostage_servo.faults.table import ALL, MEANINGS, PROCESS_FAULTS, SEARCHING, TABLE
 
 _NOTES = {fault.name: fault.note for fault in TABLE if fault.note}
 
@@ -48,7 +48,7 @@ def as_json(cells: Sequence[Cell], seed: int, unit: str, not_applicable: Sequenc
 def as_text(cells: Sequence[Cell], unit: str) -> str:
     """Return a table for a terminal: the reaction in each phase, and the largest travel with its bound."""
     width = max((len(cell.name) for cell in cells), default=10)
-    phases = [phase.value for phase in Phase]
+    phases = _columns(cells)
     lines = [f"{'':4}{'fault':{width}}  {'  '.join(f'{phase:>12}' for phase in phases)}"]
     for number, name, by_phase in rows(cells):
         lines.append(f"{number:3} {name:{width}}  {'  '.join(_short(by_phase.get(phase)) for phase in phases)}")
@@ -70,7 +70,7 @@ def describe(cell: Cell, unit: str) -> str:
 
 def as_markdown(cells: Sequence[Cell]) -> str:
     """Return the matrix as it stands in the docs. Travel and bound are rounded up."""
-    phases = [phase.value for phase in Phase]
+    phases = _columns(cells)
     lines = ["| | fault | " + " | ".join(phases) + " |", "|---" * (len(phases) + 2) + "|"]
     for number, name, by_phase in rows(cells):
         note = f" *({_NOTES[name]})*" if name in _NOTES else ""
@@ -82,7 +82,7 @@ def as_markdown(cells: Sequence[Cell]) -> str:
 def as_page(result: dict[str, Any], cells: Sequence[Cell], what: str) -> str:
     """Return a self-contained page: the matrix, each travel drawn against its bound, and what the letters mean."""
     unit = html.escape(result["unit"])
-    phases = [phase.value for phase in Phase]
+    phases = _columns(cells)
     body = []
     for number, name, by_phase in rows(cells):
         columns = "".join(_cell_html(by_phase.get(phase), result["unit"]) for phase in phases)
@@ -97,6 +97,12 @@ def as_page(result: dict[str, Any], cells: Sequence[Cell], what: str) -> str:
         legend=legend, missing=f"<h2>Not on this axis</h2><ul>{missing}</ul>" if missing else "",
         state="good" if result["missed"] == 0 else "bad",
     )  # fmt: skip
+
+
+def _columns(cells: Sequence[Cell]) -> list[str]:
+    """Return the phases of a move, and those of other motion as far as there are cells of them."""
+    there = {cell.phase for cell in cells}
+    return [*(phase.value for phase in ALL), *(phase.value for phase in SEARCHING if phase.value in there)]
 
 
 def _short(cell: Cell | None) -> str:

@@ -5,7 +5,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 
+from twostage_servo.axis.trips import Reaction
 from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
+from twostage_servo.config import Config
 from twostage_servo.faults import bus_faults, drive_faults, host_faults
 from twostage_servo.faults.budget import Budget
 from twostage_servo.faults.checks import (
@@ -15,7 +17,6 @@ from twostage_servo.faults.checks import (
     came_back_disarmed,
     continuous,
     ended_with_an_error,
-    expected_after_the_holder,
     log_dropped,
     needs_homing,
     noticed_early,
@@ -37,6 +38,10 @@ class Phase(enum.StrEnum):
     CHANGEOVER = "change-over"
     SETTLING = "settling"
     HOLDING = "holding"
+    HOMING = "homing"
+    """It looks for its reference, at the velocity of the search."""
+    JOGGING = "jogging"
+    """It moves for as long as the operator asks for it."""
 
 
 PROCESS_FAULTS = (37, 38, 39, 42, 54)
@@ -44,9 +49,20 @@ PROCESS_FAULTS = (37, 38, 39, 42, 54)
 
 MOVING = (Phase.ACCELERATING, Phase.CRUISING, Phase.CHANGEOVER, Phase.SETTLING)
 ARMED = (*MOVING, Phase.HOLDING)
-ALL = tuple(Phase)
+ALL = (Phase.IDLE, *ARMED)
+"""The phases of a move."""
+SEARCHING = (Phase.HOMING, Phase.JOGGING)
+"""Motion without a set-point: the severe faults begin in it as well."""
+EVERYWHERE = (*ALL, *SEARCHING)
 
 TOLERATED, HELD, STOPPED, QUICK, DISABLED, REFUSED = "T", "H", "S", "Q", "Z", "R"
+LETTERS = {
+    Reaction.NONE: TOLERATED,
+    Reaction.HOLD: HELD,
+    Reaction.CONTROLLED_STOP: STOPPED,
+    Reaction.QUICK_STOP: QUICK,
+    Reaction.DISABLE: DISABLED,
+}
 MEANINGS = {
     TOLERATED: "tolerated: the move goes on, what was missing is bridged and counted",
     HELD: "controlled stop, then the axis holds",
@@ -58,6 +74,7 @@ MEANINGS = {
 
 Inject = Callable[[World, Random], None]
 Bound = Callable[[Budget], float]
+Expected = str | dict[Phase, str] | Callable[[Config, Phase], str]
 
 
 @dataclass(frozen=True)
@@ -73,7 +90,7 @@ class Fault:
     inject
         Makes it happen, with a random number generator for what is not given.
     expected
-        The reaction, one of :data:`MEANINGS`; for some phases another one.
+        The reaction, one of :data:`MEANINGS`; for some phases another one, or what follows from the configuration.
     bound
         The largest travel that it may cost, in axis unit.
     phases
@@ -93,6 +110,8 @@ class Fault:
         Whether the axis' drive and settings have what the fault is about.
     velocity_limit
         Whether the move runs at the velocity limit.
+    then
+        The more severe reaction in which the expected one may end, where the fault keeps it from working.
     note
         What the reader of the matrix should know.
     """
@@ -100,7 +119,7 @@ class Fault:
     number: int
     name: str
     inject: Inject
-    expected: str | dict[Phase, str]
+    expected: Expected
     bound: Bound
     phases: tuple[Phase, ...] = ALL
     idle: str | None = None
@@ -110,6 +129,7 @@ class Fault:
     idle_bound: Bound | None = None
     needs: Callable[[DriveProfile, ProtocolSettings], bool] = lambda *_: True
     velocity_limit: bool = False
+    then: str = ""
     note: str = ""
 
     def budget(self, phase: Phase, expected: str) -> Bound:
@@ -119,10 +139,10 @@ class Fault:
         refused_to_move = expected == REFUSED and self.expected != REFUSED
         return _unnoticed if refused_to_move else self.bound
 
-    def expectation(self, phase: Phase, policy: str) -> str:
-        """Return the letter of the reaction that is expected in a phase, under a policy for a holder that is lost."""
-        if self.expected == "policy":
-            return expected_after_the_holder(policy) if phase in MOVING else TOLERATED
+    def expectation(self, phase: Phase, config: Config) -> str:
+        """Return the letter of the reaction that is expected in a phase, on the axis of a configuration."""
+        if callable(self.expected):
+            return self.expected(config, phase)
         if phase is Phase.IDLE:
             if self.idle is not None:
                 return self.idle
@@ -170,11 +190,37 @@ def _retargeted(budget: Budget) -> float:
 
 def _stalled(duration_s: float) -> Bound:
     def bound(budget: Budget) -> float:
-        if duration_s > budget.command_timeout_s:
-            return _command_timeout(budget)
-        return budget.quick_stop(duration_s + budget.noticing_s(0))
+        match host_faults.after_a_stall(
+            duration_s, budget.tick_s, budget.limits.missed_ticks, budget.command_timeout_s
+        ):
+            case Reaction.DISABLE:
+                return _command_timeout(budget)
+            case Reaction.QUICK_STOP:
+                return budget.quick_stop(duration_s + budget.noticing_s(0))
+        return budget.followed()
 
     return bound
+
+
+def _stalls(duration_s: float) -> Expected:
+    """Expect what the missed ticks and the drive's own time-out make of a stall; a disarmed axis misses nothing."""
+
+    def expected(config: Config, phase: Phase) -> str:
+        reaction = host_faults.after_a_stall(
+            duration_s,
+            config.service.tick_ms / 1e3,
+            config.axis.limits.missed_ticks,
+            config.simulation.command_timeout_ms / 1e3,
+        )
+        return TOLERATED if phase is Phase.IDLE else LETTERS[reaction]
+
+    return expected
+
+
+def _after_the_holder(config: Config, phase: Phase) -> str:
+    """Expect what ``service.holder_lost`` says of a move; an axis at rest has nothing to stop."""
+    policy = {"continue": TOLERATED, "stop": HELD, "disarm": HELD}[config.service.holder_lost]
+    return policy if phase in MOVING else TOLERATED
 
 
 _D, _H = drive_faults, host_faults
@@ -183,7 +229,7 @@ TABLE: tuple[Fault, ...] = (
     # The bus
     Fault(1, "one frame lost", bus_faults.lose(1), TOLERATED, _bridged),
     Fault(2, "as many frames lost in a row as the limit", bus_faults.lose_as_many_as_the_limit, QUICK, _stale,
-          idle=TOLERATED),
+          idle=TOLERATED, phases=EVERYWHERE),
     Fault(3, "5 % of the frames lost", bus_faults.lose_at_random, TOLERATED, _bridged),
     Fault(4, "frames doubled", bus_faults.double, TOLERATED, _bridged),
     Fault(5, "two frames in the wrong order", bus_faults.reorder, TOLERATED, _bridged),
@@ -195,9 +241,10 @@ TABLE: tuple[Fault, ...] = (
     Fault(9, "controller error-passive", bus_faults.error_passive, TOLERATED, _unnoticed, check=bus_error_reported),
     Fault(10, "bus-off", bus_faults.bus_off, DISABLED, _command_timeout, check=came_back_disarmed, idle=TOLERATED),
     Fault(11, "interface down, or unplugged", bus_faults.interface_down, DISABLED, _command_timeout,
-          check=came_back_disarmed, idle=TOLERATED),
+          check=came_back_disarmed, idle=TOLERATED, phases=EVERYWHERE),
     Fault(12, "a node babbles", bus_faults.babble, TOLERATED, _unnoticed),
-    Fault(13, "another node commands the drive", bus_faults.foreign_command, DISABLED, _at_once, idle=REFUSED),
+    Fault(13, "another node commands the drive", bus_faults.foreign_command, DISABLED, _at_once, idle=REFUSED,
+          phases=EVERYWHERE),
     Fault(14, "wrong length, kind and identifier", bus_faults.malformed, TOLERATED, _bridged, check=rejected_some),
     Fault(15, "checksum wrong from now on", bus_faults.corrupt, QUICK, _stale, check=rejected_some),
     Fault(15, "counter stands still", _D.repeat_counter, QUICK, _stale),
@@ -209,28 +256,26 @@ TABLE: tuple[Fault, ...] = (
     Fault(18, "a single spike", _D.spike, TOLERATED, _bridged),
     Fault(19, "a jump that stays", _D.jump, QUICK, lambda budget: budget.implausible(), idle=TOLERATED,
           idle_bound=lambda budget: _D.LARGEST_JUMP * budget.limits.innovation + budget.followed(),
-          check=needs_homing, note="while disarmed it cannot be told from a push by hand"),
+          check=needs_homing, phases=EVERYWHERE, note="while disarmed it cannot be told from a push by hand"),
     Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
           again=True),
     Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
-          check=noticed_early, again=True),
+          check=noticed_early, again=True, phases=EVERYWHERE),
     Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True),
     Fault(23, "position invalid", _D.not_a_number, QUICK, _stale),
     Fault(24, "slow drift", _D.drift, TOLERATED, _followed,
           note="cannot be observed with one encoder: the axis follows it"),
     Fault(25, "coarse steps: limit cycle", _D.coarse, TOLERATED, _bridged),
     # Drive and plant
-    Fault(26, "fault bit", _D.fault_bit, DISABLED, _at_once),
+    Fault(26, "fault bit", _D.fault_bit, DISABLED, _at_once, phases=EVERYWHERE),
     Fault(27, "drive reboots", _D.reboot, DISABLED, _at_once, check=needs_homing,
           needs=lambda profile, _: profile.heartbeat_id is not None),
     Fault(28, "drive ignores the effort", _D.ignore_effort, QUICK,
           lambda budget: budget.runaway(budget.noticing_s(0)), idle=QUICK, again=True,
-          note="the quick stop cannot work, so the drive is disabled in the end"),
+          then=DISABLED, note="the quick stop cannot work, so the drive is disabled in the end"),
     Fault(29, "effort saturates: speed unreachable", _D.too_weak,
           {Phase.ACCELERATING: STOPPED, Phase.CRUISING: STOPPED, Phase.HOLDING: STOPPED},
-          lambda budget: budget.stopping(
-              budget.limits.effort_saturation_ms / 1e3 + 1.0, budget.limits.acceleration
-          ),
+          lambda budget: budget.unreachable_speed(_D.WEAKNESS),
           idle=STOPPED, velocity_limit=True, phases=(Phase.IDLE, Phase.ACCELERATING, Phase.CRUISING, Phase.HOLDING)),
     Fault(30, "jam", _D.jam, QUICK, _unnoticed, idle=QUICK, again=True, check=within_jam_effort),
     Fault(31, "a load steps", _D.load_step, TOLERATED, _followed, phases=ARMED, check=arrived),
@@ -243,17 +288,21 @@ TABLE: tuple[Fault, ...] = (
     Fault(35, "heartbeat stops", _D.heartbeat_stops, DISABLED, _heartbeat,
           needs=lambda profile, _: profile.heartbeat_id is not None),
     # The host
-    Fault(36, "host held up for 15 ms", _H.stall(0.015), TOLERATED, _followed),
-    Fault(36, "host held up for 50 ms", _H.stall(0.050), QUICK, _stalled(0.050), idle=TOLERATED),
-    Fault(36, "host held up for 500 ms", _H.stall(0.500), QUICK, _stalled(0.500), idle=TOLERATED),
+    Fault(36, "host held up for 15 ms", _H.stall(0.015), _stalls(0.015), _stalled(0.015)),
+    Fault(36, "host held up for 50 ms", _H.stall(0.050), _stalls(0.050), _stalled(0.050), phases=EVERYWHERE),
+    Fault(36, "host held up for 500 ms", _H.stall(0.500), _stalls(0.500), _stalled(0.500), phases=EVERYWHERE,
+          note="longer than the drive waits for commands: it has disabled itself when the missed ticks are noticed"),
+    # The tick in which the defect shows sends no command.
     Fault(40, "a defect in the loop", _H.defect, QUICK,
+          lambda budget: budget.quick_stop(budget.noticing_s(1)), idle=REFUSED, check=ended_with_an_error),
+    Fault(40, "a defect in what listens to the loop", _H.defect_of_a_publisher, QUICK,
           lambda budget: budget.quick_stop(budget.noticing_s(0)), idle=REFUSED, check=ended_with_an_error),
-    Fault(41, "processor hogged: every tick late", _H.hog, TOLERATED, _followed),
+    Fault(41, "processor hogged: every tick late", _H.hog, TOLERATED, lambda budget: budget.late(_H.LATEST_TICK)),
     # Operator and configuration
     Fault(43, "set-points out of range, NaN, infinite", _H.bad_set_points, REFUSED, _unnoticed, check=refused_all),
     Fault(44, "set-point in mid-move", _H.retarget, TOLERATED, _retargeted, phases=MOVING, check=continuous),
     Fault(45, "two clients", _H.second_client, REFUSED, _unnoticed, check=refused_all),
-    Fault(46, "the client that commands dies", _H.client_dies, "policy", lambda budget: budget.stopping(
+    Fault(46, "the client that commands dies", _H.client_dies, _after_the_holder, lambda budget: budget.stopping(
         budget.noticing_s(0), budget.limits.acceleration)),
     Fault(49, "reload while armed", _H.reload, REFUSED, _unnoticed, phases=ARMED, check=refused_all),
     # Clock, disk, network

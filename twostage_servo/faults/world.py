@@ -2,19 +2,24 @@
 
 import asyncio
 import functools
+import json
 import math
 import tempfile
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine
+from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pydantic import ValidationError
+
 from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.messages import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config import Config, LoadedConfig
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.requests import REQUESTS
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -26,6 +31,9 @@ if TYPE_CHECKING:
 
 SERVICE, DRIVE = "service", "drive"
 """Names of the two nodes on the wire."""
+
+OPERATOR = "operator"
+"""The client who commands the axis."""
 
 _BUS = BusSettings(interface="socketcan", channel="can0", reopen_interval_ms=50.0)
 """What the simulated bus stands for: its error frames are those of Linux' SocketCAN."""
@@ -76,8 +84,12 @@ class World:
         The move that is under way or next, in axis unit and axis unit/s.
     roll_over_in
         How far ahead the encoder shall roll over, in axis unit.
-    fault_place
-        Where the axis was when the fault, or the last move after it, began, in axis unit.
+    fault_s
+        When the fault began, in s.
+    begun_s, fault_place
+        When the fault, or the last move after it, began, in s, and where the axis was then, in axis unit.
+    undisturbed
+        The samples of the same run without the fault; the same as `samples` up to it.
     refusals
         Answers to what clients have asked: the code of each refusal, None for what was carried out.
     log
@@ -102,7 +114,9 @@ class World:
         self.serving: asyncio.Task[None] | None = None
         self.start = self.target = self.velocity = 0.0
         self.roll_over_in = 0.0
+        self.fault_s = self.begun_s = 0.0
         self.fault_place = 0.0
+        self.undisturbed: Sequence[Sample] = ()
         self.refusals: list[str | None] = []
         self.log: LogWriter | None = None
         self.log_released = threading.Event()
@@ -169,6 +183,23 @@ class World:
         finally:
             writer.close()
 
+    def look_without_ticks(self, *_: object) -> None:
+        """Look, once a period, whether what is waited for has come, after the service has ended."""
+        self._look()
+        if self._waiting is not None and not self._waiting[1].done():
+            self.later(self.period_s, self.look_without_ticks)
+
+    def ask(self, request: str | dict[str, Any], client: str = OPERATOR) -> str | None:
+        """Make a request of a client; return the code with which it is refused, or None if it was carried out."""
+        line = request if isinstance(request, str) else json.dumps(request)
+        try:
+            self.service.handle(REQUESTS.validate_json(line), client)
+        except ValidationError:
+            return "bad_request"
+        except Refused as refused:
+            return refused.code
+        return None
+
     async def close(self) -> None:
         """End the clients, and let the log's reader go on."""
         for task in list(self._tasks):
@@ -187,7 +218,9 @@ class World:
         loop = asyncio.get_running_loop()
         future: asyncio.Future[bool] = loop.create_future()
         self._waiting = (condition, future, loop.time() + longest_s)
-        # A service that has ended, or is held up, makes no ticks any more.
+        # A service that is held up makes no ticks, and one that has ended makes none any more.
+        if self.serving is not None and self.serving.done():
+            loop.call_soon(self.look_without_ticks)
 
         def give_up() -> None:
             if not future.done():
@@ -204,14 +237,20 @@ class World:
         """Let simulated time pass."""
         await asyncio.sleep(duration_s)
 
+    def take_sample(self) -> None:
+        """Keep a sample of this very moment."""
+        place, effort = self.place(), self.station.command.effort
+        self.samples.append(Sample(self.now_s, place, self.drive.velocity, effort, str(self.axis.state)))
+
     def _on_tick(self, _: Tick) -> None:
-        now_s = self.now_s
-        drive, effort = self.drive, self.station.command.effort
         if self.keeps_samples:
-            self.samples.append(Sample(now_s, drive.position, drive.velocity, effort, str(self.axis.state)))
+            self.take_sample()
+        self._look()
+
+    def _look(self) -> None:
         if self._waiting is not None:
             condition, future, deadline_s = self._waiting
-            if not future.done() and (condition() or now_s >= deadline_s):
+            if not future.done() and (condition() or self.now_s >= deadline_s):
                 future.set_result(condition())
 
 
@@ -221,6 +260,7 @@ async def operate(loaded: LoadedConfig[Config]) -> AsyncIterator[World]:
     world = World(loaded)
     driving = asyncio.create_task(world.node.run())
     world.serving = asyncio.create_task(world.service.run())
+    world.serving.add_done_callback(world.look_without_ticks)
     try:
         yield world
     finally:
