@@ -9,6 +9,9 @@ from collections import deque
 WINDOW_TICKS = 100
 """Ticks over which the errors of the channel are counted."""
 
+_PAST_TICKS = WINDOW_TICKS - 1
+"""Those of them that are over."""
+
 
 class FeedbackMonitor:
     """Follows the drive's alive counter, and counts what goes wrong on the way.
@@ -37,7 +40,7 @@ class FeedbackMonitor:
         self._counter: int | None = None
         self.lost = self.doubled = self.reordered = self.rejected = 0
         self.ticks_since_fresh: int | None = None
-        self._window: deque[int] = deque([0] * WINDOW_TICKS, WINDOW_TICKS)
+        self._window: deque[int] = deque([0] * _PAST_TICKS, _PAST_TICKS)
         self._errors = 0
         self._errors_now = 0
         self._rejected_since = 0
@@ -91,5 +94,5 @@ class FeedbackMonitor:
         """Start afresh, as after the bus was reopened."""
         self._counter = None
         self.ticks_since_fresh = None
-        self._window.extend([0] * WINDOW_TICKS)
+        self._window.extend([0] * _PAST_TICKS)
         self._errors = self._errors_now = 0

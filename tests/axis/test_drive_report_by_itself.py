@@ -1,0 +1,270 @@
+"""What is known of a drive, frame by frame: its ages in ticks, its state within a tick, its rounds, its origin."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from tests.axis.rig import PERIOD_S, axis_settings
+from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.trips import TripCode
+
+SETTINGS = axis_settings()
+"""Stale after 30 ms, a heartbeat each 300 ms, overspeed 320 mm/s, 5040 mm from end to end with the overruns."""
+
+
+def report(period: float = 0.0, *, heartbeat: bool = False) -> DriveReport:
+    return DriveReport(SETTINGS, PERIOD_S, 16, period, heartbeat=heartbeat)
+
+
+def seen(drive: DriveReport, position: float, counter: int | None = None, **signals: bool) -> bool:
+    drive.begin_tick(0)
+    return drive.take(Feedback(position, counter, **signals))
+
+
+def codes(drive: DriveReport, *, arming: bool = False) -> set[TripCode]:
+    return {code for code, _ in drive.troubles(arming=arming)}
+
+
+def first_tick_of(drive: DriveReport, holds: Callable[[], bool], missed: int = 0) -> int:
+    for tick in range(1, 200):
+        drive.begin_tick(missed)
+        if holds():
+            return tick
+    return 0
+
+
+@pytest.mark.parametrize(("missed", "tick"), [(0, 3), (2, 1)])
+def test_feedback_is_stale_after_30_ms_missed_ticks_included(missed: int, tick: int) -> None:
+    drive = report()
+    assert [drive.is_stale] == [True]
+    seen(drive, 1.0)
+    assert [drive.is_stale] == [False]
+    assert first_tick_of(drive, lambda: drive.is_stale, missed) == tick
+    assert codes(drive) == {TripCode.STALE_FEEDBACK}
+
+
+@pytest.mark.parametrize(("missed", "tick"), [(0, 30), (2, 10)])
+def test_a_heartbeat_is_lost_after_300_ms_from_the_last_or_from_the_start(missed: int, tick: int) -> None:
+    drive = report(heartbeat=True)
+    lost = TripCode.HEARTBEAT_LOST
+    assert first_tick_of(drive, lambda: lost in codes(drive), missed) == tick
+    drive.take_heartbeat(1)
+    assert lost not in codes(drive)
+    assert first_tick_of(drive, lambda: lost in codes(drive), missed) == tick
+    without = report()
+    assert first_tick_of(without, lambda: lost in codes(without)) == 0
+
+
+def test_arming_waits_for_the_first_heartbeat_and_again_after_the_bus_was_lost() -> None:
+    drive = report(heartbeat=True)
+    for counter in (1, 2):
+        seen(drive, 0.0, counter, enabled=False)
+        obstacle = drive.obstacle_to_arming()
+        assert obstacle is not None
+        assert obstacle[0] == "heartbeat_lost"
+        drive.take_heartbeat(None)
+        assert drive.obstacle_to_arming() is None
+        drive.forget()
+    without = report()
+    seen(without, 0.0, enabled=False)
+    assert without.obstacle_to_arming() is None
+
+
+@pytest.mark.parametrize("missed", [0, 4])
+def test_a_foreign_command_keeps_from_arming_for_as_long_as_arming_may_take(missed: int) -> None:
+    """500 ms are 50 ticks."""
+    drive = report()
+    drive.notice_foreign_command()
+    for tick in range(1, 50 // (1 + missed) + 1):
+        drive.begin_tick(missed)
+        drive.take(Feedback(0.0, None, enabled=False))
+        obstacle = drive.obstacle_to_arming()
+        if tick * (1 + missed) < 50:
+            assert obstacle is not None
+            assert obstacle[0] == "foreign_command"
+        else:
+            assert obstacle is None
+
+
+def test_a_drive_that_still_says_it_is_enabled_cannot_be_armed_and_one_that_does_not_tell_can() -> None:
+    for enabled, expected in ((True, "still_enabled"), (False, None), (None, None)):
+        drive = report()
+        drive.begin_tick(0)
+        drive.take(Feedback(0.0, enabled=enabled))
+        obstacle = drive.obstacle_to_arming()
+        assert (None if obstacle is None else obstacle[0]) == expected
+
+
+def test_troubles_of_the_drive_are_told_by_code() -> None:
+    drive = report()
+    seen(drive, 0.0, enabled=False)
+    assert codes(drive) == {TripCode.DRIVE_DROPPED_OUT}
+    assert codes(drive, arming=True) == set()
+    drive.begin_tick(0)
+    drive.take(Feedback(0.0, enabled=True, fault_code=0, safe_torque_off=True))
+    assert codes(drive) == {TripCode.DRIVE_FAULT, TripCode.SAFE_TORQUE_OFF}
+
+
+def test_errors_of_the_channel_trip_at_their_number() -> None:
+    drive = report()
+    seen(drive, 0.0)
+    for _ in range(24):
+        drive.monitor.reject()
+    assert codes(drive) == set()
+    drive.monitor.reject()
+    assert codes(drive) == {TripCode.FEEDBACK_ERRORS}
+
+
+def test_in_a_tick_what_is_bad_stays_and_in_the_next_it_is_new() -> None:
+    drive = report()
+    drive.begin_tick(0)
+    drive.take(Feedback(0.0, 1, enabled=False, fault_code=7, safe_torque_off=True, home_switch=True))
+    drive.take(Feedback(1.0, 2, enabled=True, safe_torque_off=False, positive_limit=True))
+    assert (drive.enabled, drive.fault_code, drive.safe_torque_off) == (False, 7, True)
+    assert (drive.positive_limit, drive.home_switch) == (True, True)
+    drive.begin_tick(0)
+    assert [drive.fresh] == [False]
+    drive.take(Feedback(1.0, 3, enabled=True))
+    assert [drive.fresh] == [True]
+    assert (drive.enabled, drive.fault_code) == (True, None)
+    assert not any((drive.safe_torque_off, drive.positive_limit, drive.home_switch))
+
+
+def test_a_newer_fault_in_a_tick_is_taken_where_there_was_none() -> None:
+    drive = report()
+    drive.begin_tick(0)
+    drive.take(Feedback(0.0, 1, enabled=True))
+    drive.take(Feedback(0.0, 2, enabled=False, fault_code=3))
+    assert (drive.enabled, drive.fault_code) == (False, 3)
+
+
+def test_what_a_drive_sends_unasked_after_its_answer_does_not_replace_the_sample() -> None:
+    drive = report()
+    drive.begin_tick(0)
+    drive.take(Feedback(1.0, 1, age_s=0.001))
+    drive.take(Feedback(2.0, 2, age_s=0.002, unasked=True))
+    assert (drive.position, drive.age_s) == (1.0, 0.001)
+    drive.take(Feedback(3.0, 3, age_s=0.003))
+    assert (drive.position, drive.age_s) == (3.0, 0.003)
+    drive.begin_tick(0)
+    drive.take(Feedback(4.0, 4, age_s=0.004, unasked=True))
+    assert (drive.position, drive.age_s) == (4.0, 0.004)
+
+
+def test_a_drive_that_has_lost_its_encoder_tells_why_and_no_position() -> None:
+    drive = report()
+    seen(drive, 5.0, 1)
+    drive.begin_tick(0)
+    assert drive.take(Feedback(math.nan, 2, fault_code=9))
+    assert (drive.position, drive.fresh, drive.fault_code, drive.monitor.rejected) == (5.0, False, 9, 1)
+
+
+def test_a_frame_that_is_not_new_tells_nothing() -> None:
+    drive = report()
+    seen(drive, 5.0, 1)
+    drive.begin_tick(0)
+    assert drive.take(Feedback(6.0, 1, fault_code=9))
+    assert (drive.position, drive.fresh, drive.fault_code) == (5.0, False, None)
+
+
+@pytest.mark.parametrize(("period", "last_sure"), [(1000.0, 156), (10_079.0, 1574), (10_081.0, 0), (0.0, 0)])
+def test_which_round_it_is_stays_sure_until_the_axis_may_have_gone_half_of_one(period: float, last_sure: int) -> None:
+    """At 320 mm/s half of 1000 mm takes 1.5625 s; where both ends are nearer than half a round, it never matters."""
+    for ticks, sure in ((last_sure or 5000, True), (last_sure + 1 if last_sure else 50_000, not last_sure)):
+        drive = report(period)
+        assert seen(drive, 100.0)
+        drive.begin_tick(ticks - 1)
+        assert drive.take(Feedback(100.0)) is sure
+        drive.begin_tick(0)
+        assert drive.take(Feedback(100.0))
+
+
+@pytest.mark.parametrize(("counted", "position"), [(90.0, 90.0), (10.0, 110.0), (40.0, 140.0), (60.0, 60.0)])
+def test_of_all_rounds_the_nearest_is_taken(counted: float, position: float) -> None:
+    drive = report(100.0)
+    assert seen(drive, 95.0)
+    assert seen(drive, counted)
+    assert drive.position == pytest.approx(position)
+
+
+def test_rounds_are_counted_from_where_the_estimate_is() -> None:
+    drive = report(100.0)
+    seen(drive, 95.0)
+    drive.begin_tick(0, expected=720.0)
+    drive.take(Feedback(5.0))
+    assert drive.position == pytest.approx(705.0)
+    drive.take_index(30.0)
+    assert drive.index == pytest.approx(730.0)
+    drive.forget_index()
+    assert drive.index is None
+    drive.take_index(math.nan)
+    assert drive.index is None
+
+
+def test_after_the_bus_was_lost_rounds_go_on_from_where_the_axis_was_last_seen() -> None:
+    drive = report(100.0)
+    seen(drive, 95.0)
+    seen(drive, 15.0)
+    drive.forget()
+    assert (drive.position, drive.enabled, drive.fault_code, drive.age_s) == (None, None, None, None)
+    assert drive.is_stale
+    seen(drive, 20.0)
+    assert drive.position == pytest.approx(120.0)
+
+
+def test_another_origin_moves_what_is_known_and_what_comes() -> None:
+    drive = report(100.0)
+    drive.shift(3.0)
+    seen(drive, 95.0)
+    assert drive.position == pytest.approx(98.0)
+    drive.shift(-8.0)
+    assert drive.position == pytest.approx(90.0)
+    seen(drive, 5.0)
+    assert drive.position == pytest.approx(100.0)
+
+
+def test_a_step_is_at_most_half_a_round() -> None:
+    assert report(100.0).step(95.0, 5.0) == pytest.approx(10.0)
+    assert report(100.0).step(5.0, 95.0) == pytest.approx(-10.0)
+    assert report(100.0).step(5.0, 45.0) == pytest.approx(40.0)
+    assert report().step(95.0, 5.0) == -90.0
+
+
+def test_boots_are_counted_by_their_counter() -> None:
+    drive = report(heartbeat=True)
+    assert [drive.take_heartbeat(counter) for counter in (4, 4, 5, None, 6, 7, 6)] == [
+        False, False, True, False, False, True, True,
+    ]  # fmt: skip
+    assert drive.boots == 3
+
+
+@pytest.mark.parametrize(
+    ("direction", "names"), [(1.0, ("positive", None)), (-1.0, (None, "negative")), (0.0, (None, None))]
+)
+def test_a_switch_forbids_the_way_towards_it(direction: float, names: tuple[str | None, str | None]) -> None:
+    for signal, name in zip(("positive_limit", "negative_limit"), names, strict=True):
+        drive = report()
+        seen(drive, 0.0, **{signal: True})
+        assert drive.blocks(direction) == name
+
+
+def test_a_new_report_of_the_same_drive_knows_what_the_former_one_did() -> None:
+    former = report(100.0, heartbeat=True)
+    former.take_heartbeat(3)
+    former.notice_foreign_command()
+    seen(former, 95.0, 1, home_switch=True)
+    seen(former, 5.0, 2, enabled=False)
+    former.shift(7.0)
+    drive = report(100.0, heartbeat=True)
+    drive.take_over(former)
+    assert drive.monitor is former.monitor
+    assert (drive.position, drive.enabled) == (former.position, False)
+    assert drive.position == pytest.approx(112.0)
+    assert drive.take_heartbeat(4)
+    seen(drive, 10.0, 3, enabled=False)
+    assert drive.position == pytest.approx(117.0)
+    obstacle = drive.obstacle_to_arming()
+    assert obstacle is not None
+    assert obstacle[0] == "foreign_command"

@@ -1,0 +1,38 @@
+"""One change of one file, and what became of it."""
+
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Mutant:
+    """One change of one file.
+
+    Attributes
+    ----------
+    path
+        The file, from the top of the tree.
+    function
+        Its function, ``Class.method``; outside functions its class or an empty string.
+    diff
+        The lines that it removes and adds, each with its sign.
+    status
+        ``killed``, ``timeout``, ``survived``, or ``fresh`` where a process of its own has to tell.
+    source
+        The whole mutated file; empty unless the status is ``fresh``.
+    """
+
+    path: str
+    function: str
+    diff: tuple[str, ...]
+    status: str = ""
+    source: str = ""
+
+    @property
+    def place(self) -> str:
+        """The module, without the package's name."""
+        return self.path.removeprefix("twostage_servo/").removesuffix(".py").replace("/", ".")
+
+    @property
+    def key(self) -> str:
+        """What `survivors.toml` calls it: its place and its changed lines, nothing that moves with other lines."""
+        return f"{self.place}:{self.function}: {' '.join(self.diff)}"
