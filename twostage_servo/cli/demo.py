@@ -40,9 +40,11 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 def _demo(options: argparse.Namespace) -> ExitCode:
     import asyncio
+    import contextlib
 
     from twostage_servo.cli.demonstration import Demonstration, Sample
     from twostage_servo.service.log import open_log
+    from twostage_servo.service.punctual import punctual
     from twostage_servo.simulation.virtual_clock import VirtualClockLoop
     from twostage_servo.ticks import real_time_loop
 
@@ -57,7 +59,8 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     try:
         with configuration_problems():
             demo = Demonstration(loaded, options.to, options.velocity, progress)
-        with asyncio.Runner(loop_factory=VirtualClockLoop if options.fast else real_time_loop) as runner:
+        setup = contextlib.nullcontext() if options.fast else punctual(demo.service, loaded.config.realtime)
+        with asyncio.Runner(loop_factory=VirtualClockLoop if options.fast else real_time_loop) as runner, setup:
             runner.run(demo.run())
     finally:
         progress.end()

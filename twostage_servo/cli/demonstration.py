@@ -55,7 +55,19 @@ class _Move(NamedTuple):
 
 
 class Demonstration:
-    """One run: the real service and the real drive node, and the bookkeeping of the true plant."""
+    """One run: the real service and the real drive node, and the bookkeeping of the true plant.
+
+    Attributes
+    ----------
+    service
+        The service.
+    samples
+        Each tick.
+    failure
+        Why the move was not carried out; None if it was.
+    refused
+        What the axis has refused, or None.
+    """
 
     def __init__(self, loaded: LoadedConfig[Config], target: float, velocity: float, progress: Progress) -> None:
         self.samples: list[Sample] = []
@@ -66,9 +78,9 @@ class Demonstration:
         self._velocity = velocity
         self._progress = progress
         self._bus = BusSettings(interface="virtual", channel="twostage-servo-demo")
-        self._service = build_service(loaded, self._bus)
-        self._station = self._service.station()
-        self._service.publishers.append(self._on_tick)
+        self.service = build_service(loaded, self._bus)
+        self._station = self.service.station()
+        self.service.publishers.append(self._on_tick)
         self._station.port.observers.append(self._on_frame)
         self._hash = hashlib.sha256()
         self._drive: SimulatedDrive | None = None
@@ -88,12 +100,12 @@ class Demonstration:
         node = DriveNode(self._drive, link, simulation.cycle_ms / 1e3)
         async with asyncio.TaskGroup() as group:
             group.create_task(node.run())
-            serving = group.create_task(self._service.run())
+            serving = group.create_task(self.service.run())
             try:
                 await self._operate()
             except Refused as refused:
                 self.refused = refused
-            self._service.shut_down()
+            self.service.shut_down()
             await serving
             node.stop()
 
@@ -129,7 +141,7 @@ class Demonstration:
 
     def _on_tick(self, tick: Tick) -> None:
         assert self._drive is not None  # noqa: S101 - run() has made it
-        service, axis, observer = self._service, self._station.axis, self._station.axis.law.observer
+        service, axis, observer = self.service, self._station.axis, self._station.axis.law.observer
         self.samples.append(
             Sample(
                 tick.index * service.ticks.period_s, axis.state, axis.law.changeovers, self._drive.position,
@@ -158,7 +170,7 @@ class Demonstration:
 
     def result(self) -> dict[str, Any]:
         """Return the contract's JSON object."""
-        service, trip = self._service, self._station.axis.trip
+        service, trip = self.service, self._station.axis.trip
         return {
             "target": self._target,
             **self._score(),
