@@ -75,7 +75,7 @@ class GarbageCollection:
         Parameters
         ----------
         idle_s
-            Time until the next deadline, s.
+            Time until the loop is to wake up for the next deadline, s.
         driven
             Whether the axis is driven. If it is not, a late tick moves nothing, and a collection may take its time.
         """
