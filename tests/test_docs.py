@@ -52,7 +52,7 @@ def section(title: str) -> str:
 def test_the_readme_opens_with_the_two_commands_on_a_line_each() -> None:
     first, second, *_ = blocks(README, "sh")
     assert first.endswith("twostage-servo demo")
-    assert second.endswith("python -m pytest")
+    assert "python -m pytest" in second
     assert "\n" not in first + second
     assert re.match(r"# twostage-servo\n\n```sh\n", README)
 
