@@ -3,11 +3,13 @@
 import math
 from bisect import bisect_left
 
-from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.design import AxisDesign, DesignError
 from twostage_servo.control.two_stage import Stage, TwoStageLaw
 
 _CRUISE_TIMES = 20.0
 """Change-over times of cruise after which the speed has settled for good."""
+_LONGEST_TIMES = 1000.0
+"""Change-over times after which a stable design has come to rest in any case."""
 _SMALLEST_SHARE = 1e-6
 """Share of the change-over distance below which nobody asks when the position stage gets there."""
 _HALVINGS = 60
@@ -23,6 +25,11 @@ class MoveDuration:
     ----------
     design
         Gains, observer and settings.
+
+    Raises
+    ------
+    DesignError
+        If the response never comes to rest.
     """
 
     def __init__(self, design: AxisDesign) -> None:
@@ -30,10 +37,11 @@ class MoveDuration:
         self._acceleration = design.settings.limits.acceleration
         self._period_s = design.period_s
         self._changeover_s = design.gains.changeover_time_s(design.period_s)
+        self._most_ticks = math.ceil(_LONGEST_TIMES * self._changeover_s / design.period_s)
         law = design.build_unlimited_law()
         law.set_target(_CRUISE_TIMES * self._changeover_s, 1.0)
         ticks = 0
-        while law.stage is Stage.SPEED:
+        while law.stage is Stage.SPEED and ticks < self._most_ticks:
             law.step(None)
             ticks += 1
         self._lag_s = ticks * design.period_s - law.observer.position
@@ -78,6 +86,10 @@ class MoveDuration:
         largest = abs(law.target - law.observer.position)
         seen = [math.inf]
         while max(seen[-1], abs(law.observer.velocity) * self._changeover_s) > _SMALLEST_SHARE * largest:
+            if len(seen) > self._most_ticks:
+                raise DesignError(
+                    ("axis", "law", "performance_index_ratio"), "the designed response never comes to rest"
+                )
             seen.append(abs(law.target - law.observer.position))
             law.step(None)
         worst = 0.0

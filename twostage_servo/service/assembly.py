@@ -86,13 +86,16 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: floa
         If no law can be designed from the settings.
     """
     _check_encoder(loaded, profile)
-    return Axis(
-        design(loaded, tick_s),
-        profile.counter_modulus,
-        profile.position_period,
-        profile.position_quantum,
-        heartbeat=profile.heartbeat_id is not None,
-    )
+    try:
+        return Axis(
+            design(loaded, tick_s),
+            profile.counter_modulus,
+            profile.position_period,
+            profile.position_quantum,
+            heartbeat=profile.heartbeat_id is not None,
+        )
+    except DesignError as error:
+        raise loaded.problem(error.key, str(error)) from error
 
 
 def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile) -> None:
