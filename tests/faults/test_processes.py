@@ -139,24 +139,31 @@ run_hosted(37, Phase.CRUISING, None, (), 1)
 """
 
 
+@pytest.fixture
+def short_folder() -> Iterator[Path]:
+    """A folder whose path leaves room for that of a socket in it, of which Linux takes 107 characters."""
+    with tempfile.TemporaryDirectory(prefix="ts-") as folder:
+        yield Path(folder)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
-def test_processes_end_with_the_campaign(number: signal.Signals, tmp_path: Path) -> None:
+def test_processes_end_with_the_campaign(number: signal.Signals, short_folder: Path) -> None:
     campaign = subprocess.Popen(  # noqa: S603
         [sys.executable, "-c", ONE_CELL],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
-        env=os.environ | {"TMPDIR": str(tmp_path)},
+        env=os.environ | {"TMPDIR": str(short_folder)},
     )
     try:
         assert campaign.stdout is not None
         assert campaign.stdout.readline() == b"begun\n"
-        wait_until(lambda: len(processes_in(tmp_path)) == 2)
+        wait_until(lambda: len(processes_in(short_folder)) == 2)
     finally:
         campaign.send_signal(number)
         campaign.communicate(timeout=LONGEST_S)
-    wait_until(lambda: not processes_in(tmp_path))
+    wait_until(lambda: not processes_in(short_folder))
     if number == signal.SIGINT:
-        assert list(tmp_path.iterdir()) == []
+        assert list(short_folder.iterdir()) == []
 
 
 def wait_until(condition: Any) -> None:
