@@ -1,0 +1,148 @@
+"""The benchmark's contract: the shape of its result, and its budgets. No figure is judged: the machine may be busy."""
+
+import copy
+import importlib.util
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
+
+from bench import budgets, control_step, lateness, loops, packages, run, summary, whole_tick
+from bench.plan import QUICK
+
+FIGURES = {"p50", "p90", "p99", "max"}
+
+
+def result_of(**tables: Any) -> dict[str, Any]:
+    """A result as the runner makes it, with these tables."""
+    made = run.Run(QUICK, 0, lambda _: None)
+    made.result |= tables
+    return made.result
+
+
+def test_percentiles_are_values_that_occurred() -> None:
+    assert summary.summarise([3.0, 1.0, 2.0]) == {"p50": 2.0, "p90": 3.0, "p99": 3.0, "max": 3.0, "count": 3}
+    assert summary.summarise_histogram({5: 98, 70: 2})["p50"] == 5.0
+    assert summary.summarise_histogram({5: 98, 70: 2})["p99"] == 70.0
+
+
+def test_the_control_step_is_compared_with_the_same_equations() -> None:
+    told = control_step.compare(1, only=["c", "numpy"])
+    measured, missing = told["control_step_us"], told["not_measured"]
+    assert {"ours", "ours_position_stage", "numpy"} <= set(measured)
+    assert "c" in set(measured) | set(missing)
+    assert all(set(figures) >= FIGURES for figures in measured.values())
+
+
+def test_other_equations_are_noticed() -> None:
+    samples, efforts = control_step.record(1e9)
+    with pytest.raises(ValueError, match="different one does not compute the same effort"):
+        control_step.check("different one", lambda: control_step.ours(1.0), samples, efforts)
+
+
+def test_a_whole_tick_and_its_phases() -> None:
+    told = whole_tick.time_ticks(1, 20, real=False)
+    assert set(told["tick_us"]) >= FIGURES
+    assert told["tick_us"]["count"] >= 20
+    assert list(told["phase_share"]) == list(whole_tick.PHASES)
+    assert sum(told["phase_share"].values()) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_each_pass_of_a_loop_has_a_lateness() -> None:
+    assert {name: len(values) for name, values in loops.ours(3).items()} == {"ours": 3, "ours_as_stamped": 3}
+    assert {name: len(values) for name, values in loops.asyncio_sleep(3).items()} == {"asyncio_sleep": 3}
+
+
+@pytest.mark.parametrize(
+    ("contender", "line"),
+    [
+        ("soft_realtime_loop", "pip install NeuroLocoMiddleware"),
+        ("canopen_sync", "pip install canopen"),
+        ("filterpy", "pip install filterpy"),
+        ("cyclictest", "apt install rt-tests"),
+        ("c", "apt install gcc"),
+    ],
+)
+def test_what_is_missing_is_named_with_the_line_that_installs_it(
+    contender: str, line: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setenv("PATH", "")
+    reason = packages.what_is_missing(contender)
+    assert reason is not None
+    assert reason.endswith(line)
+
+
+def test_a_run_without_any_contender_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lateness, "what_is_missing", lambda name: f"no {name}")
+    made = run.Run(QUICK, 0, lambda _: None)
+    made.do("lateness")
+    made.finish()
+    assert made.result["tick_lateness_us"] == made.result["tick_lateness_us_loaded"] == {}
+    assert made.result["not_measured"]["tick_lateness_us.cyclictest"] == "no cyclictest"
+    assert {goal["state"] for goal in made.result["goals"]} == {"not measured"}
+    assert "not measured: tick_lateness_us_loaded.ours: no ours" in run.as_text(made.result)
+
+
+FIGURES_OF_A_RUN = {
+    "tick_lateness_us": {
+        "ours": {"p50": 20.0, "p90": 30.0},
+        "cyclictest": {"p50": 55.0, "avg": 60.0},
+        "asyncio_sleep": {"p50": 4e5},
+        "soft_realtime_loop": {"p50": 15.0},
+    },
+    "control_step_us": {"ours": {"p50": 0.9}, "c": {"p50": 0.025}, "numpy": {"p50": 5.0}, "filterpy": {"p50": 60.0}},
+    "whole_tick_us": {"1": {"p50": 50.0}},
+    "simulated_seconds_per_second": 50.0,
+    "memory_growth_mb": 0.1,
+    "cpu_share": 0.05,
+}
+
+
+def test_a_kept_and_a_broken_budget(capsys: pytest.CaptureFixture[str]) -> None:
+    result = result_of(**copy.deepcopy(FIGURES_OF_A_RUN))
+    assert run.check(result)
+    assert "broken" not in capsys.readouterr().err
+    result["control_step_us"]["ours"]["p50"] = 7.0
+    assert not run.check(result)
+    complaint = capsys.readouterr().err
+    assert "control_step_us.ours.p50 = 7, wanted is at most 80 x control_step_us.c.p50 = 80 x 0.025 = 2" in complaint
+    assert "control_step_us.filterpy.p50 = 60, wanted is at least 12 x control_step_us.ours.p50" in complaint
+
+
+def test_every_budget_and_goal_names_figures_that_a_run_has() -> None:
+    tables = {"frame_jitter_us", "frame_jitter_us_loaded", "tick_lateness_us_loaded", "whole_tick_real_time_us",
+              "startup_s", "status_s", *FIGURES_OF_A_RUN}  # fmt: skip
+    for kind in ("budget", "goal"):
+        entries = budgets.read(kind, {})
+        assert len(entries) > 5
+        for entry in entries:
+            for path in filter(None, (entry.figure, entry.of)):
+                assert path.split(".", maxsplit=1)[0] in tables, path
+
+
+def test_the_best_of_the_others_is_the_one_to_beat() -> None:
+    result = result_of(frame_jitter_us={"ours": {"p50": 3.0}, "a": {"p50": 4.0}, "b": {"p50": 2.0}})
+    first = next(goal for goal in budgets.read("goal", result) if goal.figure == "frame_jitter_us.ours.p50")
+    assert first.of == "frame_jitter_us.b.p50"
+    assert budgets.judge(first, result).state == "broken"
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        'name = "x"\nfigure = "a"\nlimit = "at most"',
+        'name = "x"\nfigure = "a"\nlimit = "under"\nbound = 1',
+        'name = "x"\nfigure = "a"\nlimit = "at most"\nof = "b"',
+        'name = "x"\nlimit = "at most"\nbound = 1',
+        'name = "x"\nfigure = "a"\nlimit = "at most"\nbound = 1\nbond = 1',
+    ],
+)
+def test_an_entry_that_says_too_little_is_refused(entry: str, tmp_path: Path) -> None:
+    file = tmp_path / "budgets.toml"
+    file.write_text(f"[[budget]]\n{entry}\n", encoding="utf-8")
+    with pytest.raises(budgets.BudgetError, match="x: "):
+        budgets.read("budget", {}, file)

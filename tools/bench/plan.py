@@ -1,0 +1,48 @@
+"""How long and how often everything is measured."""
+
+from dataclasses import dataclass
+from typing import Final
+
+PERIOD_S: Final = 0.01
+
+PATIENT: Final = (
+    "axis.limits.stale_feedback_ms=3000", "axis.limits.heartbeat_ms=3000", "axis.limits.missed_ticks=300",
+    "axis.limits.feedback_errors=100", "axis.limits.following_error_minimum=500", "axis.limits.innovation=500",
+    "service.log_level=warning",
+)  # fmt: skip
+"""Overrides with which the axis goes on moving on a busy machine: its punctuality is measured, not its limits."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """One run's lengths.
+
+    Attributes
+    ----------
+    lateness_rounds, lateness_s
+        Rounds over all loops, the second one in the opposite order; and how long each loop runs in a round.
+    frames_s
+        How long each sender is listened to.
+    step_rounds, tick_count, real_ticks
+        Rounds of the control step; timed ticks of the whole tick, in simulated and in real time.
+    memory_warm_up, memory_ticks
+        Ticks before the resident memory is read first, and between the two readings.
+    starts, asks, cpu_s
+        Starts of the service, calls of `status`, and how long the service's share of a core is looked at.
+    """
+
+    lateness_rounds: int
+    lateness_s: float
+    frames_s: float
+    step_rounds: int
+    tick_count: int
+    real_ticks: int
+    memory_warm_up: int
+    memory_ticks: int
+    starts: int
+    asks: int
+    cpu_s: float
+
+
+FULL: Final = Plan(3, 5.0, 10.0, 40, 20_000, 1_000, 50_000, 1_000_000, 5, 10, 15.0)
+QUICK: Final = Plan(1, 0.8, 0.8, 8, 3_000, 100, 1_000, 5_000, 1, 3, 1.5)

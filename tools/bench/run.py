@@ -1,0 +1,207 @@
+"""The benchmark: one run measures the service beside other Python loops, senders and filters on the same machine.
+
+``python tools/bench/run.py [--quick] [--json] [--plot FILE.png] [--check]``. Progress goes to stderr, and the result to
+stdout: a table, or one JSON object. Each contender has p50, p90, p99 and max. What could not be measured is in
+``not_measured`` with the reason and, where a package is missing, the line that installs it. Nothing leaves the machine.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from bench import budgets, control_step, frame_jitter, lateness, processes, simulated_time, whole_tick
+from bench.children import ChildError
+from bench.load import hogs, unloaded
+from bench.machine import Machine
+from bench.plan import FULL, QUICK, Plan
+from bench.scheduling import may_run_at
+from twostage_servo import __version__
+from twostage_servo.cli.output import CommandError
+
+PARTS: Final = ("lateness", "frames", "step", "tick", "simulation", "processes")
+_Note = Callable[[str], None]
+
+
+class Run:
+    """One run, whose result grows part by part.
+
+    Attributes
+    ----------
+    result
+        Ready for JSON.
+    """
+
+    def __init__(self, plan: Plan, priority: int, note: _Note) -> None:
+        self.result: dict[str, Any] = {"machine": _machine(plan, priority), "not_measured": {}}
+        self._plan = plan
+        self._priority = priority
+        self._note = note
+
+    def do(self, part: str) -> None:
+        """Measure one part; what fails is noted as not measured."""
+        measure: Callable[[], None] = getattr(self, f"_{part}")
+        try:
+            measure()
+        except (ChildError, CommandError, OSError, subprocess.SubprocessError) as error:
+            self.result["not_measured"][part] = str(error)
+
+    def finish(self) -> None:
+        """Add what the goals come to."""
+        self.result["machine"]["load_average_after"] = _load_average()
+        self.result["goals"] = [
+            budgets.judge(goal, self.result).as_json() for goal in budgets.read("goal", self.result)
+        ]
+
+    def _lateness(self) -> None:
+        for suffix, load in (("", unloaded), ("_loaded", hogs)):
+            with load():
+                figures, missing = lateness.measure(self._plan, self._priority, self._named(f"lateness{suffix}"))
+            self._take(f"tick_lateness_us{suffix}", figures, missing)
+
+    def _frames(self) -> None:
+        with Machine.running(self._priority) as machine:
+            self.result["machine"]["bus_at_real_time_priority"] = machine.apparatus_is_real_time
+            with machine.service() as service:
+                ours = self._loaded_and_not(
+                    lambda suffix: frame_jitter.measure(machine, service, self._plan, self._named(f"frames{suffix}"))
+                )
+            others = self._loaded_and_not(
+                lambda suffix: frame_jitter.measure(machine, None, self._plan, self._named(f"frames{suffix}"))
+            )
+        floors = {
+            suffix or "_unloaded": figures.pop(frame_jitter.FLOOR)
+            for suffix, (figures, _) in others.items()
+            if frame_jitter.FLOOR in figures
+        }
+        self.result["frame_jitter_floor_us"] = {suffix.removeprefix("_"): floor for suffix, floor in floors.items()}
+        for suffix, (figures, missing) in ours.items():
+            self._take(f"frame_jitter_us{suffix}", figures | others[suffix][0], missing | others[suffix][1])
+
+    def _step(self) -> None:
+        self._take("control_step_us", *control_step.measure(self._plan, self._priority, self._named("control step")))
+
+    def _tick(self) -> None:
+        result, not_measured = whole_tick.measure(self._plan, self._priority, self._named("whole tick"))
+        self.result |= result
+        self.result["not_measured"] |= not_measured
+
+    def _simulation(self) -> None:
+        self.result |= simulated_time.measure(self._plan, self._priority, self._named("simulated time"))
+
+    def _processes(self) -> None:
+        with Machine.running(self._priority) as machine:
+            self.result |= processes.measure(machine, self._plan, self._named("processes"))
+
+    @staticmethod
+    def _loaded_and_not(measure: Callable[[str], tuple[dict[str, Any], dict[str, str]]]) -> dict[str, Any]:
+        results = {}
+        for suffix, load in (("", unloaded), ("_loaded", hogs)):
+            with load():
+                results[suffix] = measure(suffix)
+        return results
+
+    def _take(self, key: str, figures: Mapping[str, Any], missing: Mapping[str, str]) -> None:
+        self.result[key] = dict(figures)
+        self.result["not_measured"] |= {f"{key}.{name}": reason for name, reason in missing.items()}
+
+    def _named(self, name: str) -> _Note:
+        return lambda text: self._note(f"{name}: {text}")
+
+
+def _machine(plan: Plan, priority: int) -> dict[str, Any]:
+    return {
+        "version": __version__,
+        "python": platform.python_version(),
+        "kernel": platform.release(),
+        "cpus": os.cpu_count(),
+        "load_average_before": _load_average(),
+        "priority": priority,
+        "quick": plan is QUICK,
+    }
+
+
+def _load_average() -> float:
+    return round(os.getloadavg()[0], 2)
+
+
+def as_text(result: Mapping[str, Any]) -> str:
+    """Return the figures as a table."""
+    lines = []
+    for key, value in result.items():
+        if key in {"machine", "not_measured", "goals", "phase_share", "budgets"}:
+            continue
+        if not isinstance(value, Mapping):
+            lines.append(f"{key:32} {value}")
+            continue
+        for name, row in value.items() if "p50" not in value else [("", value)]:
+            figures = "  ".join(f"{column} {row[column]:>11}" for column in ("p50", "p90", "p99", "max"))
+            lines.append(f"{key:26} {name:22} {figures}" + (f"  avg {row['avg']}" if "avg" in row else ""))
+    lines += [f"phases with {axes} axes: {shares}" for axes, shares in result.get("phase_share", {}).items()]
+    lines += [f"not measured: {name}: {reason}" for name, reason in result["not_measured"].items()]
+    words = {"kept": "met", "broken": "MISSED"}
+    lines += [
+        f"goal {words.get(goal['state'], goal['state'])}: {goal['name']}: {goal['text']}" for goal in result["goals"]
+    ]
+    return "\n".join(lines)
+
+
+def check(result: dict[str, Any]) -> bool:
+    """Hold the result against the budgets, name the broken ones on stderr, and return whether all were kept."""
+    verdicts = [budgets.judge(budget, result) for budget in budgets.read("budget", result)]
+    result["budgets"] = [verdict.as_json() for verdict in verdicts]
+    for verdict in verdicts:
+        if verdict.state != "kept":
+            print(f"budget {verdict.state}: {verdict.budget.name}: {verdict.text}", file=sys.stderr)
+    return all(verdict.state != "broken" for verdict in verdicts)
+
+
+def main() -> int:
+    """Measure what the arguments say; return 1 if a budget is broken."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="under 50 s, for a first look and for --check")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the figures")
+    parser.add_argument("--check", action="store_true", help="hold the figures against budgets.toml")
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=PARTS, help="measure these parts alone")
+    parser.add_argument(
+        "--priority", type=int, default=0, metavar="N", help="SCHED_FIFO priority of all that is measured"
+    )
+    options = parser.parse_args()
+    if not may_run_at(options.priority):
+        parser.error(f"SCHED_FIFO priority {options.priority} is not permitted here: leave it out, or run as root")
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # also where a shell has it ignored, as in the background
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))  # so that the children are ended on this way out, too
+    begun_s = time.monotonic()
+
+    def note(text: str) -> None:
+        print(f"{time.monotonic() - begun_s:6.1f} s  {text}", file=sys.stderr)
+
+    run = Run(QUICK if options.quick else FULL, options.priority, note)
+    with contextlib.suppress(KeyboardInterrupt):
+        for part in options.only:
+            run.do(part)
+        run.finish()
+        kept = check(run.result) if options.check else True
+        print(json.dumps(run.result) if options.json else as_text(run.result))
+        if options.plot is not None:
+            from bench import plot  # noqa: PLC0415 - matplotlib takes a second
+
+            plot.draw(run.result, options.plot)
+        note("done")
+        return 0 if kept else 1
+    return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,122 @@
+"""What a whole tick takes, by number of axes and by phase: ``python -m bench.whole_tick --axes 1 --ticks 20000``.
+
+The real service with its drives on the bus inside the process. In simulated time one tick follows the other and finds
+the processor's caches as it left them; in real time (``--real``) 10 ms have passed in which others used them.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import functools
+import json
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from bench.children import ChildError, json_of, module
+from bench.plan import Plan
+from bench.summary import percentile, summarise
+from bench.world import operate
+from twostage_servo.service.log import open_log
+from twostage_servo.service.loop import ServoService
+from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.ticks import real_time_loop
+
+AXES: Final = (1, 2, 4, 8, 16, 32, 64)
+PHASES: Final = ("read", "update", "write", "publish")
+_WARM_UP: Final = 50
+"""Ticks that come first and do not count."""
+
+
+def measure(plan: Plan, priority: int, note: Callable[[str], None]) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return ``whole_tick_us``, ``whole_tick_real_time_us`` and ``phase_share``, and why some axes have no figures."""
+    result: dict[str, Any] = {"whole_tick_us": {}, "whole_tick_real_time_us": {}, "phase_share": {}}
+    not_measured = {}
+    for axes in AXES:
+        for kind, ticks in (("", plan.tick_count // axes), ("_real_time", plan.real_ticks)):
+            note(f"{axes} axes{kind.replace('_', ' ')}, {ticks} ticks")
+            options = ["--real"] if kind else []
+            try:
+                told = json_of(module("whole_tick", "--axes", axes, "--ticks", ticks, *options), 600.0, priority)
+            except ChildError as error:
+                not_measured[f"whole_tick{kind}_us.{axes}"] = str(error)
+                continue
+            result[f"whole_tick{kind}_us"][str(axes)] = told["tick_us"]
+            if not kind:
+                result["phase_share"][str(axes)] = told["phase_share"]
+    return result, not_measured
+
+
+class Stopwatch:
+    """Times the phases of each tick of a service, by wrapping its four methods."""
+
+    def __init__(self, ticks: int) -> None:
+        self.done: asyncio.Event = asyncio.Event()
+        self._left = ticks + _WARM_UP
+        self._begun_s = 0.0
+        self._ticks_s: list[float] = []
+        self._phases_s: dict[str, list[float]] = {name: [] for name in PHASES}
+
+    def watch(self, service: ServoService) -> None:
+        """Wrap the methods."""
+        for name in PHASES:
+            setattr(service, name, self._timed(name, getattr(service, name)))
+
+    def _timed(self, name: str, phase: Callable[..., None]) -> Callable[..., None]:
+        clock, durations = time.perf_counter, self._phases_s[name]
+
+        @functools.wraps(phase)
+        def timed(*arguments: Any) -> None:
+            begun_s = clock()
+            phase(*arguments)
+            ended_s = clock()
+            durations.append(ended_s - begun_s)
+            if name == "read":
+                self._begun_s = begun_s
+            elif name == "publish":
+                self._ticks_s.append(ended_s - self._begun_s)
+                self._left -= 1
+                if self._left == 0:
+                    self.done.set()
+
+        return timed
+
+    def figures(self) -> dict[str, Any]:
+        """Return the time of a tick in µs, and the share of each phase in the sum of the phases' medians."""
+        medians = {name: percentile(sorted(durations[_WARM_UP:]), 0.5) for name, durations in self._phases_s.items()}
+        total = sum(medians.values())
+        return {
+            "tick_us": summarise([1e6 * duration for duration in self._ticks_s[_WARM_UP:]]),
+            "phase_share": {name: round(median / total, 4) for name, median in medians.items()},
+        }
+
+
+def time_ticks(axes: int, ticks: int, *, real: bool) -> dict[str, Any]:
+    """Run a service of so many axes for so many ticks, beside a warm-up, and return the stopwatch's figures."""
+
+    async def main() -> dict[str, Any]:
+        stopwatch = Stopwatch(ticks)
+        async with operate(axes, stopwatch.watch):
+            await stopwatch.done.wait()
+        return stopwatch.figures()
+
+    if not real:
+        return run(main())
+    with asyncio.Runner(loop_factory=real_time_loop) as runner:
+        return runner.run(main())
+
+
+def main() -> None:
+    """Time what the arguments say and print JSON."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--axes", type=int, default=1)
+    parser.add_argument("--ticks", type=int, default=20_000)
+    parser.add_argument("--real", action="store_true", help="in real time")
+    options = parser.parse_args()
+    with contextlib.closing(open_log("error")):
+        result = time_ticks(options.axes, options.ticks, real=options.real)
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()
