@@ -61,7 +61,7 @@ def defect(world: World, random: Random) -> None:
     service, part = world.service, random.choice(("read", "update", "write"))
     sound = getattr(service, part)
 
-    def fail(_: object) -> None:
+    def fail(*_: object) -> None:
         setattr(service, part, sound)
         raise RuntimeError(f"a defect, injected where the loop is to {part}")
 
