@@ -268,3 +268,91 @@ def test_a_new_report_of_the_same_drive_knows_what_the_former_one_did() -> None:
     obstacle = drive.obstacle_to_arming()
     assert obstacle is not None
     assert obstacle[0] == "foreign_command"
+
+
+def test_a_report_begins_with_nothing_known() -> None:
+    drive = DriveReport(SETTINGS, PERIOD_S, 16)
+    known = (drive.position, drive.age_s, drive.enabled, drive.fault_code, drive.index)
+    inputs = (drive.safe_torque_off, drive.positive_limit, drive.negative_limit, drive.home_switch)
+    assert (*known, *inputs) == (None,) * 9
+    assert (drive.fresh, drive.boots, drive.is_stale) == (False, 0, True)
+    drive.take(Feedback(0.0, 1, enabled=True, home_switch=False))
+    assert (drive.enabled, drive.fresh) == (True, True)
+    drive.forget()
+    assert drive.home_switch is drive.safe_torque_off is drive.positive_limit is drive.negative_limit is None
+
+
+def test_within_a_tick_enabled_and_open_inputs_stay_so() -> None:
+    drive = report()
+    drive.begin_tick(0)
+    for counter in (1, 2):
+        drive.take(Feedback(0.0, counter, enabled=True, safe_torque_off=False, home_switch=False))
+    assert (drive.enabled, drive.safe_torque_off, drive.home_switch) == (True, False, False)
+
+
+@pytest.mark.parametrize(("fault_code", "code"), [(5, "drive_fault"), (None, None)])
+def test_trouble_keeps_from_arming_by_its_code(fault_code: int | None, code: str | None) -> None:
+    drive = report()
+    drive.begin_tick(0)
+    drive.take(Feedback(0.0, 1, enabled=False, fault_code=fault_code))
+    obstacle = drive.obstacle_to_arming()
+    assert (None if obstacle is None else obstacle[0]) == code
+    drive.position = None
+    obstacle = drive.obstacle_to_arming()
+    assert obstacle is not None
+    assert obstacle[0] == "no_feedback"
+
+
+def test_feedback_that_is_stale_keeps_from_arming() -> None:
+    drive = report()
+    seen(drive, 0.0, 1)
+    drive.begin_tick(3)
+    obstacle = drive.obstacle_to_arming()
+    assert obstacle is not None
+    assert obstacle[0] == "no_feedback"
+
+
+def test_after_the_bus_was_lost_the_heartbeat_has_its_whole_time_again() -> None:
+    drive = report(heartbeat=True)
+    drive.begin_tick(25)
+    drive.forget()
+    assert first_tick_of(drive, lambda: TripCode.HEARTBEAT_LOST in codes(drive)) == 30
+
+
+def test_the_first_round_holds_within_its_tick_and_moves_with_the_origin() -> None:
+    drive = report(100.0)
+    drive.begin_tick(0)
+    drive.take(Feedback(95.0, 1))
+    drive.take(Feedback(5.0, 2))
+    assert drive.position == pytest.approx(105.0)
+    drive.shift(200.0)
+    drive.take(Feedback(7.0, 3))
+    assert drive.position == pytest.approx(307.0)
+
+
+def test_ticks_without_sight_add_up_and_a_first_position_is_always_sure() -> None:
+    """Half of 1000 mm at 320 mm/s takes 156.25 ticks."""
+    drive = report(1000.0)
+    drive.begin_tick(1000)
+    assert drive.take(Feedback(100.0))
+    for _ in range(157):
+        drive.begin_tick(0)
+    assert not drive.take(Feedback(100.0))
+
+
+def test_without_a_round_what_the_encoder_counts_is_the_position() -> None:
+    drive = DriveReport(SETTINGS, PERIOD_S, 16)
+    for position in (0.0, 0.9, 7.4):
+        seen(drive, position)
+        assert drive.position == position
+
+
+def test_rounds_are_counted_on_from_the_last_position_or_the_estimate_also_before_a_position() -> None:
+    drive = report(100.0)
+    for counted in (95.0, 30.0, 60.0):
+        seen(drive, counted)
+    assert drive.position == pytest.approx(160.0)
+    drive.forget()
+    drive.begin_tick(0, expected=720.0)
+    drive.take(Feedback(5.0))
+    assert drive.position == pytest.approx(705.0)

@@ -12,6 +12,10 @@ each, two seconds before the first test. What mutmut leaves out is added, see :m
 defaults outside functions, negated conditions. Texts are left out: docstrings, strings, f-strings and what a ``raise``
 says. So numbers, signs, operators, comparisons, conditions and arguments count.
 
+What mutmut leaves out and nothing adds: functions under a decorator other than ``property``, ``staticmethod`` and
+``classmethod``. In the two rooms these are the three validators of ``axis/settings.py``, whose comparisons
+`tests/axis/test_settings_of_an_axis.py` holds by hand on either side. The rest of that module is numbers of fields.
+
 Examples of property tests are the same every time. A test that takes more processor time than :mod:`limits` allows
 counts as one that found its mutant: an endless loop is noticed.
 """

@@ -1,0 +1,338 @@
+"""What a motion believes of its drive, tick by tick, with the drive's report written by hand."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.axis.rig import PERIOD_S, axis_settings
+from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.motion import Motion
+from twostage_servo.control.two_stage import Stage
+
+DESIGN = design_axis(axis_settings(), PERIOD_S)
+"""An innovation of 0.5 mm and 3 ms of speed is believed; a jam takes 5 ticks."""
+
+
+class Bench:
+    """A motion with the report that it reads, at rest at a place that it tracks, or holds."""
+
+    def __init__(self, position: float = 10.0, resolution: float = 0.001) -> None:
+        drive: Any = SimpleNamespace(
+            fresh=False, position=None, age_s=None, is_stale=False, step=lambda before, now: now - before
+        )
+        self.drive = drive
+        self.motion = Motion(DESIGN, drive, resolution)
+        self.observer = self.motion.law.observer
+        self.position = position
+
+    def report(self, position: float | None, age_s: float | None = None, missed: int = 0) -> None:
+        self.drive.fresh = position is not None
+        if position is not None:
+            self.drive.position = position
+        self.drive.age_s = age_s
+        self.motion.begin_tick(missed)
+
+    def track(self, *positions: float | None) -> "Bench":
+        for position in positions:
+            self.report(position)
+            self.motion.track()
+        return self
+
+    def holding(self) -> "Bench":
+        self.track(*3 * [self.position])
+        self.motion.start()
+        return self
+
+    def step(self, position: float | None, age_s: float | None = None, missed: int = 0) -> float:
+        self.report(position, age_s, missed)
+        return self.motion.step()
+
+    def estimate(self) -> tuple[float, float]:
+        return self.observer.position, self.observer.velocity
+
+
+def test_a_new_motion_has_seen_nothing() -> None:
+    motion = Bench().motion
+    assert [motion.blind] == [False]
+    assert (motion.predicted, motion.implausible, motion.implausible_distance) == (0, 0, 0.0)
+    assert (motion.unchanged_effort, motion.recent_way) == (0.0, math.inf)
+
+
+# Tracking -----------------------------------------------------------------------------------------------------------
+
+
+def test_tracking_begins_at_the_first_sample_and_takes_the_speed_from_the_second() -> None:
+    bench = Bench()
+    bench.track(None)
+    assert bench.motion.expected_position(driven=False) is None
+    assert bench.estimate() == (0.0, 0.0)
+    bench.track(10.0)
+    assert bench.estimate() == (10.0, 0.0)
+    assert bench.motion.expected_position(driven=False) == 10.0
+    bench.track(11.0)
+    expected = DESIGN.build_law().observer
+    expected.start_moving(10.0, 11.0)
+    assert bench.estimate() == (expected.position, expected.velocity)
+    assert expected.velocity > 50.0
+    expected.update(expected.position + 0.3, 0.0)
+    bench.track(bench.observer.position + 0.3)
+    assert bench.estimate() == (expected.position, expected.velocity)
+
+
+def test_while_nothing_is_tracked_only_a_driven_axis_has_an_expected_position() -> None:
+    motion = Bench().motion
+    assert motion.expected_position(driven=False) is None
+    assert motion.expected_position(driven=True) == 0.0
+
+
+def test_a_spike_while_tracking_is_passed_over_and_a_second_one_says_how_fast_it_goes() -> None:
+    for side in (1.0, -1.0):
+        bench = Bench().track(10.0, 10.0, 10.0)
+        bench.track(10.0 + side * 0.6)
+        assert bench.estimate() == (10.0, 0.0)
+        bench.track(10.0, 10.0 + side * 0.6)  # another one, not the second of the first
+        assert bench.estimate() == pytest.approx((10.0, 0.0))
+        bench.track(10.0 + side * 1.0)
+        expected = DESIGN.build_law().observer
+        expected.start_moving(10.0 + side * 0.6, 10.0 + side * 1.0)
+        assert bench.estimate() == pytest.approx((expected.position, expected.velocity))
+        bench.track(bench.observer.position, bench.observer.position)
+        before = bench.estimate()
+        bench.track(bench.observer.position + side * 20.0)  # a first one again
+        assert abs(bench.observer.velocity) < abs(before[1])
+
+
+def test_after_it_was_driven_a_spike_is_a_first_one() -> None:
+    bench = Bench().track(10.0, 10.0, 10.6)
+    bench.motion.start()
+    bench.track(10.7)
+    assert bench.estimate() == pytest.approx((10.0, 0.0))
+
+
+def test_while_tracking_as_much_is_believed_as_an_innovation_may_be() -> None:
+    for distance, believed in ((0.5, True), (-0.5, True), (0.51, False), (-0.51, False)):
+        bench = Bench().track(0.0, 0.0, distance)
+        assert (bench.observer.position != 0.0) is believed
+
+
+def test_the_limit_grows_by_3_ms_of_the_speed() -> None:
+    bench = Bench()
+    assert bench.motion.innovation_limit == 0.5
+    for velocity in (100.0, -100.0):
+        bench.observer.velocity = velocity
+        assert bench.motion.innovation_limit == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize("reason", ["stale", "blind", "told"])
+def test_after_a_while_without_sight_it_starts_afresh(reason: str) -> None:
+    bench = Bench().track(10.0, 10.0, 10.6)  # the last one is a spike, so far
+    bench.drive.is_stale, bench.motion.blind = reason == "stale", reason == "blind"
+    if reason == "told":
+        bench.motion.lose_track()
+    else:
+        bench.track(10.0)
+    assert bench.motion.blind is False
+    assert bench.motion.expected_position(driven=False) is None
+    bench.drive.is_stale = False
+    bench.track(50.0)
+    assert bench.estimate() == (50.0, 0.0)
+    bench.track(50.2)
+    expected = DESIGN.build_law().observer
+    expected.start_moving(50.0, 50.2)
+    assert bench.estimate() == pytest.approx((expected.position, expected.velocity))
+
+
+def test_the_last_effort_acts_for_one_tick_after_the_law_has_ended() -> None:
+    bench = Bench().holding()
+    bench.motion.set_target(400.0, 100.0)
+    for _ in range(3):
+        effort = bench.step(bench.observer.position)
+    assert effort > 0.4
+    expected = DESIGN.build_law().observer
+    expected.continue_from(bench.observer)
+    bench.track(None, None)
+    expected.predict(effort)
+    expected.predict(0.0)
+    assert bench.estimate() == pytest.approx((expected.position, expected.velocity))
+
+
+# Driven -------------------------------------------------------------------------------------------------------------
+
+
+def test_what_lies_where_it_may_is_believed_and_what_does_not_is_counted() -> None:
+    for distance in (0.5, -0.5):
+        bench = Bench(0.0).holding()
+        bench.step(distance)
+        assert (bench.motion.implausible, bench.motion.predicted, bench.observer.position != 0.0) == (0, 0, True)
+    for distance in (0.51, -0.51):
+        bench = Bench(0.0).holding()
+        for count in (1, 2, 3):
+            bench.step(distance)
+            assert (bench.motion.implausible, bench.motion.predicted) == (count, count)
+        assert bench.motion.implausible_distance == distance
+        assert bench.estimate() == (0.0, 0.0)
+        bench.step(0.1)
+        assert (bench.motion.implausible, bench.motion.predicted) == (0, 3)
+
+
+def test_without_sight_the_model_goes_on_and_counts() -> None:
+    bench = Bench().holding()
+    bench.step(None)
+    bench.drive.fresh, bench.drive.position = True, None
+    bench.motion.step()
+    bench.motion.blind = True
+    bench.step(10.1)
+    assert bench.motion.predicted == 3
+    assert bench.estimate() == pytest.approx((10.0, 0.0))
+
+
+def test_a_sample_is_taken_as_it_was_at_the_last_command() -> None:
+    """At 100 mm/s a sample of 4 ms ago, where it is wanted of 10 ms ago, is 0.6 mm too far."""
+    for velocity in (100.0, -100.0):
+        dated, undated = Bench(0.0).holding(), Bench(0.0).holding()
+        for bench in (dated, undated):
+            bench.observer.velocity = velocity
+        dated.step(0.7 * math.copysign(1.0, velocity), age_s=0.004)
+        undated.step(0.1 * math.copysign(1.0, velocity))
+        assert dated.estimate() == pytest.approx(undated.estimate())
+
+
+def test_after_missed_ticks_only_a_sample_with_a_date_is_used() -> None:
+    bench = Bench().holding()
+    bench.step(10.1, missed=1)
+    assert (bench.motion.predicted, bench.observer.position) == (1, 10.0)
+    bench.step(10.1, age_s=PERIOD_S, missed=1)
+    assert bench.motion.predicted == 1
+    assert bench.observer.position > 10.0
+    bench.step(10.1)
+    assert bench.motion.predicted == 1
+
+
+def test_missed_ticks_move_law_and_nominal_alike() -> None:
+    bench = Bench().holding()
+    bench.motion.set_target(400.0, 100.0)
+    for _ in range(20):
+        bench.step(bench.observer.position)
+    observer = DESIGN.build_law().observer
+    observer.continue_from(bench.observer)
+    for _ in range(3):
+        observer.predict(bench.motion.law.effort)
+    bench.motion.skip(3)
+    assert bench.estimate() == pytest.approx((observer.position, observer.velocity))
+    assert bench.motion.following_error == pytest.approx(0.0)
+
+
+def test_beginning_to_hold_forgets_what_was() -> None:
+    bench = Bench().holding()
+    bench.motion.set_target(400.0, 100.0)
+    for _ in range(12):
+        bench.step(10.0)
+    bench.motion.blind = True
+    assert bench.motion.implausible > 0 or bench.motion.unchanged_effort > 0.0
+    bench.track(None)
+    bench.motion.start()
+    assert (bench.motion.blind, bench.motion.implausible, bench.motion.unchanged_effort) == (False, 0, 0.0)
+    assert (bench.motion.recent_way, bench.motion.following_error) == (math.inf, 0.0)
+    assert bench.motion.law.stage is bench.motion.nominal.stage is Stage.POSITION
+
+
+def test_law_and_nominal_are_told_the_same() -> None:
+    motion = Bench().holding().motion
+    motion.set_target(400.0, 100.0)
+    for law in (motion.law, motion.nominal):
+        assert (law.target, law.cruise_velocity, law.stage) == (400.0, 100.0, Stage.SPEED)
+    motion.shift(-7.0)
+    for law in (motion.law, motion.nominal):
+        assert (law.target, law.observer.position) == (393.0, 3.0)
+    motion.nominal.observer.position = 99.0
+    assert motion.following_error == -96.0
+    motion.stop(1000.0)
+    assert motion.following_error == 0.0
+    assert motion.law.stage is motion.nominal.stage is Stage.BRAKE
+
+
+def test_the_way_of_late_is_that_of_the_last_six_samples() -> None:
+    """What lies within a jam time of 50 ms; a shift of the origin begins anew."""
+    bench = Bench(0.0).holding()
+    samples = [0.0, 0.03, -0.02, 0.01, 0.0]
+    for sample in samples:
+        bench.step(sample)
+        assert bench.motion.recent_way == math.inf
+    bench.step(0.02)
+    assert bench.motion.recent_way == pytest.approx(0.05)
+    bench.step(0.0)
+    bench.step(0.0)
+    assert bench.motion.recent_way == pytest.approx(0.04)
+    bench.step(None)
+    assert bench.motion.recent_way == pytest.approx(0.04)
+    bench.motion.shift(1.0)
+    assert bench.motion.recent_way == math.inf
+
+
+def test_the_effort_is_compared_with_that_of_the_last_other_position() -> None:
+    """Another one is farther than one and a half steps of the encoder, here 0.15 mm."""
+    for side in (1.0, -1.0):
+        bench = Bench(0.0, resolution=0.1).holding()
+        bench.step(0.0)
+        first = bench.motion.law.effort
+        assert bench.motion.unchanged_effort == 0.0
+        bench.motion.set_target(side * 400.0, 100.0)
+        for sample in (0.0, 0.0, side * 0.149):
+            bench.step(sample)
+            assert bench.motion.unchanged_effort == pytest.approx(abs(bench.motion.law.effort - first))
+        assert bench.motion.unchanged_effort > 0.0
+        bench.step(side * 0.151)
+        assert bench.motion.unchanged_effort == 0.0
+        bench.step(side * 0.151)
+        assert bench.motion.unchanged_effort > 0.0
+        bench.motion.shift(1.0)
+        bench.step(1.0 + side * 0.151)
+        assert bench.motion.unchanged_effort == 0.0
+
+
+def test_an_estimate_that_is_given_up_keeps_its_place_and_no_speed() -> None:
+    bench = Bench().holding()
+    bench.observer.velocity, bench.observer.disturbance = 50.0, 1.0
+    bench.motion.distrust()
+    assert bench.motion.blind
+    assert (bench.observer.position, bench.observer.velocity, bench.observer.disturbance) == (10.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "disturbance", "effort"])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_nothing_of_the_law_may_be_no_number(name: str, value: float) -> None:
+    motion = Bench().holding().motion
+    assert [motion.finite] == [True]
+    setattr(motion.law if name == "effort" else motion.law.observer, name, value)
+    assert [motion.finite] == [False]
+
+
+def test_the_model_is_judged_by_the_speed_of_late_which_fades_in_5_s() -> None:
+    """The limit that the test is told: 0.5 mm and 3 ms of the largest speed, less 0.2 % a tick."""
+    told: list[Any] = []
+    predicted: list[float] = []
+    bench = Bench(0.0).holding()
+    test: Any = bench.motion.model_test
+    bench.motion.model_test = SimpleNamespace(  # type: ignore[assignment]
+        update=lambda sample, effort, _, limit: told.append((sample, effort, limit)),
+        predict=predicted.append,
+        start=test.start,
+    )
+    bench.observer.velocity = -100.0
+    efforts = [bench.motion.law.effort]
+    efforts.append(bench.step(0.0))
+    speed = abs(bench.observer.velocity)
+    assert told == [(0.0, efforts[0], pytest.approx(0.5 + 0.003 * speed))]
+    bench.observer.velocity = 0.0
+    efforts.append(bench.step(bench.observer.position))
+    assert abs(bench.observer.velocity) < 0.9 * speed
+    assert told[1][1:] == (efforts[1], pytest.approx(0.5 + 0.003 * 0.998 * speed))
+    bench.step(None)
+    bench.motion.skip(2)
+    assert predicted == [efforts[2], bench.motion.law.effort, bench.motion.law.effort]
+    bench.observer.velocity = 0.0
+    bench.motion.start()
+    bench.step(bench.observer.position)
+    assert told[2][2] == pytest.approx(0.5 + 0.003 * abs(bench.observer.velocity))

@@ -1,0 +1,147 @@
+"""Defaults and bounds of `[axis]`, each against a table by hand, and which settings do not fit together."""
+
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from tests.axis.rig import DEMO
+from twostage_servo.axis.settings import (
+    ApproachSettings,
+    AxisSettings,
+    HomingSettings,
+    LawSettings,
+    LimitSettings,
+    ObserverSettings,
+    PlantSettings,
+    WindowSettings,
+)
+from twostage_servo.settings import Settings
+
+NUMBERS: dict[type[Settings], str] = {
+    PlantSettings: """
+        gain                                 >= -1e9  <= 1e9
+        pole                                 >= 0.001 <= 10000""",
+    LawSettings: """
+        performance_index_ratio    = 0.00005 >= 1e-12 <= 1e6""",
+    ObserverSettings: """
+        position_variance          = 0.1     >= 0     <= 1e9
+        velocity_variance          = 0.1     >= 0     <= 1e9
+        disturbance_variance       = 0.1     >= 1e-12 <= 1e9
+        measurement_variance       = 0.01    >= 1e-12 <= 1e9
+        disturbance_memory         = 1       >= 0     <= 1""",
+    LimitSettings: """
+        position_minimum                     >= -1e9  <= 1e9
+        position_maximum                     >= -1e9  <= 1e9
+        position_overrun                     > 0      <= 1e9
+        velocity                             > 0      <= 1e9
+        overspeed                            > 0      <= 1e9
+        acceleration                         > 0      <= 1e12
+        quick_stop_deceleration              > 0      <= 1e12
+        effort                               > 0      <= 1e9
+        effort_rate                          > 0      <= 1e12
+        effort_saturation_ms                 > 0      <= 60000
+        following_error_minimum              > 0      <= 1e9
+        following_error_time_s               >= 0     <= 60
+        innovation                           > 0      <= 1e9
+        innovation_time_ms                   >= 0     <= 100
+        jam_effort                           > 0      <= 1e9
+        jam_time_ms                          > 0      <= 60000
+        stale_feedback_ms                    > 0      <= 10000
+        feedback_errors                      >= 1     <= 100
+        heartbeat_ms                         > 0      <= 60000
+        missed_ticks                         >= 0     <= 1000""",
+    WindowSettings: """
+        position                             > 0      <= 1e9
+        time_ms                              >= 0     <= 60000""",
+    HomingSettings: """
+        position                   = 0       >= -1e9  <= 1e9
+        velocity                   = 20      > 0      <= 1e9
+        slow_velocity              = 5       > 0      <= 1e9
+        effort                     = 5       > 0      <= 1e9
+        stop_time_ms               = 200     > 0      <= 60000
+        back_off                   = 0       >= 0     <= 1e9
+        travel                     = 1000    > 0      <= 1e9""",
+    ApproachSettings: """
+        distance                   = 1       > 0      <= 1e9""",
+    AxisSettings: """
+        cruise_velocity                      > 0      <= 1e9
+        arming_timeout_ms          = 500     > 0      <= 60000
+        jog_timeout_ms             = 300     > 0      <= 2000""",
+}
+"""Each number of each table: its default, where it has one, and its bounds."""
+
+SCHEMA_WORDS = {"=": "default", ">": "exclusiveMinimum", ">=": "minimum", "<=": "maximum"}
+
+
+@pytest.mark.parametrize("table", NUMBERS)
+def test_every_number_has_its_default_and_its_bounds(table: type[Settings]) -> None:
+    schema = table.model_json_schema()["properties"]
+    declared = {
+        name: {word: field[word] for word in SCHEMA_WORDS.values() if word in field}
+        for name, field in schema.items()
+        if field.get("type") in {"number", "integer"}
+    }
+    rows = [line.split() for line in NUMBERS[table].split("\n") if line.strip()]
+    expected = {
+        name: {SCHEMA_WORDS[word]: float(number) for word, number in zip(row[::2], row[1::2], strict=True)}
+        for name, *row in rows
+    }
+    assert declared == expected
+
+
+def test_what_is_no_number_has_its_default_and_its_bounds() -> None:
+    homing, approach = HomingSettings(), ApproachSettings()
+    assert (homing.required, homing.method, homing.direction) == (False, "set_here", "negative")
+    assert approach.direction == "either"
+    assert AxisSettings.model_validate({key: DEMO[key] for key in DEMO if key != "name"}).name == "axis"
+    for key, longest in (("name", 64), ("unit", 16), ("effort_unit", 16)):
+        assert not refused({key: "x"})
+        assert not refused({key: "x" * longest})
+        assert refused({key: "x" * (longest + 1)})
+        assert refused({key: ""})
+
+
+def refused(changes: dict[str, Any]) -> str:
+    """Return what the demo's axis with these changes is refused with, or nothing."""
+    tables = {key: DEMO.get(key, {}) | value if isinstance(value, dict) else value for key, value in changes.items()}
+    try:
+        AxisSettings.model_validate(DEMO | tables)
+    except ValidationError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"plant": {"gain": 1e-9}}, ""),
+        ({"plant": {"gain": -1e-9}}, ""),
+        ({"plant": {"gain": 0.99e-9}}, "gain"),
+        ({"plant": {"gain": -0.99e-9}}, "gain"),
+        ({"plant": {"gain": 0.0}}, "gain"),
+        ({"limits": {"position_minimum": 2499.9}}, ""),
+        ({"limits": {"position_minimum": 2500.0}}, "position_minimum"),
+        ({"limits": {"position_minimum": 2500.1}}, "position_minimum"),
+        ({"limits": {"quick_stop_deceleration": 2000.0}}, ""),
+        ({"limits": {"quick_stop_deceleration": 1999.9}}, "quick_stop_deceleration"),
+        ({"limits": {"overspeed": 250.1}}, ""),
+        ({"limits": {"overspeed": 250.0}}, "overspeed"),
+        ({"limits": {"overspeed": 249.9}}, "overspeed"),
+        ({"limits": {"jam_effort": 24.0}}, ""),
+        ({"limits": {"jam_effort": 24.1}}, "jam_effort"),
+        ({"cruise_velocity": 250.0}, ""),
+        ({"cruise_velocity": 250.1}, "cruise_velocity"),
+        ({"homing": {"velocity": 250.0, "slow_velocity": 250.0}}, ""),
+        ({"homing": {"velocity": 250.1}}, "homing.velocity"),
+        ({"homing": {"slow_velocity": 250.1}}, "homing.slow_velocity"),
+        ({"homing": {"effort": 24.0}}, ""),
+        ({"homing": {"effort": 24.1}}, "homing.effort"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused_by_name_and_what_just_fits_is_not(
+    changes: dict[str, Any], word: str
+) -> None:
+    message = refused(changes)
+    assert bool(message) is bool(word)
+    assert word in message
