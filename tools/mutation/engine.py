@@ -41,9 +41,9 @@ def negated_condition(node: Any) -> Iterator[Any]:
         return
     if isinstance(node.test, cst.Name) and node.test.value == "TYPE_CHECKING":
         return
-    yield node.with_changes(
-        test=cst.UnaryOperation(cst.Not(), _in_parentheses(node.test)), whitespace_before_test=cst.SimpleWhitespace(" ")
-    )
+    space = "whitespace_after_while" if isinstance(node, cst.While) else "whitespace_before_test"
+    negated = cst.UnaryOperation(cst.Not(), _in_parentheses(node.test))
+    yield node.with_changes(test=negated, **{space: cst.SimpleWhitespace(" ")})
 
 
 def one_side(node: Any) -> Iterator[Any]:
