@@ -3,17 +3,14 @@ import contextlib
 import itertools
 import math
 import selectors
-from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.host_loop import HostLoop
 from twostage_servo.simulation.virtual_clock import VirtualClockLoop, run
 from twostage_servo.ticks import Tick, Ticks, WakeMargin, real_time_loop
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 PERIOD_S = 0.01
 
@@ -187,22 +184,6 @@ def test_the_real_time_loop_waits_in_select_and_gives_the_same_ticks() -> None:
 # With a margin --------------------------------------------------------------------------------------------------------
 
 
-class HostLoop(VirtualClockLoop):
-    """Simulated time on a host that wakes up late, and whose clock moves on by 100 ns each time it is read."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.latencies_s: Iterator[float] = itertools.repeat(0.0)
-
-    def time(self) -> float:
-        self._now_s += 1e-7
-        return self._now_s
-
-    def _jump_to_next_timer(self) -> None:
-        super()._jump_to_next_timer()
-        self._now_s += next(self.latencies_s)
-
-
 class ToldMargin:
     """A margin that keeps what it is told."""
 
@@ -224,7 +205,7 @@ def on_host(margin: ToldMargin, latencies_s: list[float], bodies_s: list[float])
         ticks, served = Ticks(PERIOD_S, margin=margin), []
         for body_s in [*bodies_s, 0.0]:
             served.append(await anext(ticks))
-            loop._now_s += body_s
+            loop.work(body_s)
         return served
 
     with asyncio.Runner(loop_factory=HostLoop) as runner:

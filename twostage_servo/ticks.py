@@ -27,7 +27,7 @@ class WakeMargin(Protocol):
         """Take in how long after the time asked for a timer woke the task, s. Called once a tick, in the loop."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen: that takes a microsecond, between the deadline and the body of the tick
 class Tick:
     """One pass of the loop.
 
@@ -111,7 +111,14 @@ class Ticks:
             await self._wait(loop, deadline_s)
             now_s = loop.time()
         else:
-            now_s = await self._wait_and_spin(loop, deadline_s, self.margin)
+            await self._wait_early(loop, deadline_s, self.margin)
+            now_s = spin(loop, deadline_s)
+            if now_s < deadline_s:
+                await self._wait(loop, deadline_s)
+                now_s = loop.time()
+        if now_s - deadline_s < 0.5 * self.period_s:  # what is punctual shall begin without more ado
+            self._index = expected
+            return Tick(expected, deadline_s, max(0.0, now_s - deadline_s), 0)
         index = max(expected, math.floor((now_s - start_s) / self.period_s + _EARLY_PERIODS))
         self._index = index
         deadline_s = start_s + index * self.period_s
@@ -133,18 +140,13 @@ class Ticks:
         if self._stopped:
             raise StopAsyncIteration
 
-    async def _wait_and_spin(self, loop: asyncio.AbstractEventLoop, deadline_s: float, margin: WakeMargin) -> float:
-        """Return the loop's time when the deadline has come, to the resolution of its clock."""
+    async def _wait_early(self, loop: asyncio.AbstractEventLoop, deadline_s: float, margin: WakeMargin) -> None:
+        """Wake up by the margin before the deadline, and tell it how late that was."""
         when_s = deadline_s - margin.margin_s
         slept = loop.time() < when_s  # what comes of an overdue timer says nothing about the host's wake-ups
         await self._wait(loop, when_s)
-        now_s = loop.time()
         if slept:
-            margin.learn(now_s - when_s)
-        if now_s < deadline_s and (now_s := _spin(loop, deadline_s)) < deadline_s:
-            await self._wait(loop, deadline_s)
-            now_s = loop.time()
-        return now_s
+            margin.learn(loop.time() - when_s)
 
     def stop(self) -> None:
         """End the iteration for good, also one that waits just now. Call it from the loop's thread."""
@@ -158,8 +160,16 @@ def _wake(waiter: "asyncio.Future[None]") -> None:
         waiter.set_result(None)
 
 
-def _spin(loop: asyncio.AbstractEventLoop, until_s: float) -> float:
-    """Read the clock until it says so; give its last reading, which is short of that if the clock stands still."""
+def spin(loop: asyncio.AbstractEventLoop, until_s: float) -> float:
+    """Read the loop's clock until it says so; give its last reading, which is short of that if the clock stands still.
+
+    Parameters
+    ----------
+    loop
+        The running loop.
+    until_s
+        The time to wait for, on the loop's clock in s.
+    """
     time = loop.time
     last_s, standing = time(), 0
     while (now_s := time()) < until_s:

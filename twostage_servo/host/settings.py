@@ -16,6 +16,13 @@ class RealtimeSettings(Settings):
         description="How long before a tick to wake up and spin: off, auto (learnt from the host), or up to 1000 µs",
         union_mode="left_to_right",
     )
+    send_at: Literal["off", "auto"] | float = quantity(
+        "auto",
+        unit="µs",
+        description="How long after the deadline of a tick its commands leave, so that their interval is even: "
+        "off (as soon as they are ready), auto (learnt; off if spin is), or up to 1000 µs",
+        union_mode="left_to_right",
+    )
     priority: int = quantity(
         0,
         unit="1",
@@ -34,12 +41,12 @@ class RealtimeSettings(Settings):
         description="When Python looks for cyclic garbage: in the idle time after a tick, or whenever it likes",
     )
 
-    @field_validator("spin")
+    @field_validator("spin", "send_at")
     @classmethod
-    def _is_a_margin(cls, spin: str | float) -> str | float:
-        if not isinstance(spin, str) and not 0.0 <= spin <= 1000.0:
+    def _is_a_share_of_a_tick(cls, time_us: str | float) -> str | float:
+        if not isinstance(time_us, str) and not 0.0 <= time_us <= 1000.0:
             raise ValueError('"off", "auto", or a number of µs from 0 to 1000 is needed')
-        return spin
+        return time_us
 
     @field_validator("cpus")
     @classmethod

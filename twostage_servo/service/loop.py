@@ -3,7 +3,7 @@
 import asyncio
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 
@@ -17,7 +17,10 @@ from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.service.snapshot import report_service
 from twostage_servo.service.station import Station
 from twostage_servo.service.statistics import TickStatistics
-from twostage_servo.ticks import Tick, Ticks
+from twostage_servo.ticks import Tick, Ticks, spin
+
+if TYPE_CHECKING:
+    from twostage_servo.host.send_offset import SendOffset
 
 Publisher = Callable[[Tick], None]
 
@@ -53,6 +56,8 @@ class ServoService:
         Called at the end of each tick; they must not wait.
     after_tick
         Called with the tick and the loop's time in s when the tick is over: for work that fits into the idle time.
+    send_offset
+        How long after the deadline of a tick its commands leave; None lets them leave as soon as they are ready.
     host
         Tells how punctual the host lets the service be; None where it runs in simulated time.
     """
@@ -69,6 +74,7 @@ class ServoService:
         self.desk = Desk(self)
         self.publishers: list[Publisher] = []
         self.after_tick: Callable[[Tick, float], None] | None = None
+        self.send_offset: SendOffset | None = None
         self.host: Callable[[], dict[str, Any]] | None = None
         self.failure: Exception | None = None
         self.failed_tick: int | None = None
@@ -89,18 +95,20 @@ class ServoService:
         """
         for port in self.ports:
             port.start()
-        now_s = asyncio.get_running_loop().time
+        loop = asyncio.get_running_loop()
+        now_s = loop.time
         tick_index = 0
         try:
             async for tick in self.ticks:
                 tick_index = tick.index
                 self.statistics.begin(tick.lateness_s, tick.missed)
-                begun_s = read_s = updated_s = written_s = now_s()
+                begun_s = read_s = updated_s = held_s = written_s = now_s()
                 try:
                     self.read(tick)
                     read_s = now_s()
                     self.update()
                     updated_s = now_s()
+                    held_s = self._hold(loop, tick, updated_s)
                     self.write(tick)
                     written_s = now_s()
                 except Exception as error:  # noqa: BLE001 - raised again when the axes are at rest, or at once
@@ -110,7 +118,7 @@ class ServoService:
                 except Exception as error:  # noqa: BLE001 - likewise
                     self._fail(tick, error, in_control=False)
                 ended_s = now_s()
-                self.statistics.end(begun_s, read_s, updated_s, written_s, ended_s)
+                self.statistics.end(begun_s, read_s, updated_s, held_s, written_s, ended_s)
                 self._end_at_rest()
                 if self.after_tick is not None:
                     self.after_tick(tick, ended_s)
@@ -148,12 +156,14 @@ class ServoService:
             port.read(tick.index)
 
     def update(self) -> None:
-        """Let each axis decide on its effort, and all of them react if one has tripped."""
+        """Let each axis decide on its effort, and all of them react if one has tripped; make the commands ready."""
         if self._ending_ticks is not None:
             self._end_braking(self._ending_ticks)
         for station in self.stations:
             station.update()
         self._group.react(self.stations)
+        for station in self.stations:
+            station.make_ready()
 
     def write(self, tick: Tick) -> None:
         """Send the newest commands; one that its bus cannot take now is dropped, never kept."""
@@ -204,6 +214,15 @@ class ServoService:
         return next((station for station in self.stations if station.name == name), None) or _no_station(name)
 
     # Small parts -----------------------------------------------------------------------------------------------------
+
+    def _hold(self, loop: asyncio.AbstractEventLoop, tick: Tick, ready_s: float) -> float:
+        """Let the time at which the commands shall leave come; return the loop's time then."""
+        offset = self.send_offset
+        if offset is None:
+            return ready_s
+        send_s = tick.deadline_s + offset.offset_s
+        offset.learn(ready_s - tick.deadline_s)
+        return ready_s if ready_s >= send_s else spin(loop, send_s)
 
     def _end_braking(self, ticks_left: int) -> None:
         self._ending_ticks = ticks_left - 1

@@ -71,6 +71,7 @@ class Station:
         self.command: Command = NO_EFFORT
         self.feedback_to_command = TimeHistogram()
         self._command_counter = 0
+        self._command_data = b""
         self._sent_s: float | None = None
         self._dropped_in_a_row = 0
 
@@ -92,11 +93,14 @@ class Station:
         """Let the axis decide on its effort."""
         self.command = self.axis.step()
 
+    def make_ready(self) -> None:
+        """Pack the newest command, so that nothing but its sending is left."""
+        command = self.command
+        self._command_data = self.profile.encode_command(command.effort, command.enable, self._next_counter())
+
     def write(self, tick: Tick) -> None:
         """Send the newest command; one that the bus cannot take now is dropped, never kept."""
-        command = self.command
-        data = self.profile.encode_command(command.effort, command.enable, self._next_counter())
-        sent = self.port.send(tick.index, self.profile.command_id, data)
+        sent = self.port.send(tick.index, self.profile.command_id, self._command_data)
         if sent is None:
             return
         self._sent_s = asyncio.get_running_loop().time() if sent else None

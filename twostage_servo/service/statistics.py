@@ -51,8 +51,8 @@ class TimeHistogram:
         ]
 
 
-PHASES = ("read", "update", "write", "publish")
-"""Parts of a tick, in their order."""
+PHASES = ("read", "update", "hold", "write", "publish")
+"""Parts of a tick, in their order; in ``hold`` the commands are ready and wait for their time."""
 
 
 class TickStatistics:
