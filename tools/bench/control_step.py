@@ -7,6 +7,7 @@ change-over nor limits, which is in its favour.
 """
 
 import argparse
+import ctypes
 import importlib
 import importlib.util
 import json
@@ -69,8 +70,10 @@ def ours(target: float = _FAR) -> Step:
     return law.step
 
 
-def compile_c(folder: Path) -> Callable[[float], Step]:
-    """Compile ``control_step.c`` and return what makes a step for a set-point; one of them works at a time.
+def compile_c(folder: Path) -> tuple[Callable[..., Step], Callable[..., Step]]:
+    """Compile ``control_step.c``; return what makes a step for a set-point, and what makes one called by ctypes.
+
+    One of all these steps works at a time.
 
     Raises
     ------
@@ -93,16 +96,26 @@ def compile_c(folder: Path) -> Callable[[float], Step]:
     plant, _, gains = design()
     observer_gain = kalman_gain(plant, NoiseModel()).predictor
 
-    def make(target: float = _FAR) -> Step:
+    plain = ctypes.CDLL(str(library)).control_step
+    plain.argtypes, plain.restype = [ctypes.c_double], ctypes.c_double
+
+    def start(target: float) -> None:
         compiled.start(
             plant.a12, plant.a22, plant.b1, plant.b2, *observer_gain, 1.0,
             gains.f11, gains.f12, gains.f22, gains.changeover_time_s(PERIOD_S),
             _ACCELERATION * PERIOD_S, _EFFORT_LIMIT, _EFFORT_RATE * PERIOD_S, target, _VELOCITY,
         )  # fmt: skip
+
+    def make(target: float = _FAR) -> Step:
+        start(target)
         step: Step = compiled.step
         return step
 
-    return make
+    def make_by_ctypes(target: float = _FAR) -> Step:
+        start(target)
+        return plain
+
+    return make, make_by_ctypes
 
 
 def in_numpy() -> Step:
@@ -234,8 +247,10 @@ def compare(rounds: int, only: Sequence[str] = ()) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         made: dict[str, Callable[..., Step]] = {"ours": ours, "ours_position_stage": lambda: ours(_NEAR)}
         not_measured: dict[str, str] = {}
+        in_c = [] if what_is_missing("c") else list(compile_c(Path(folder)))
         others: dict[str, Callable[[], Callable[..., Step]]] = {
-            "c": lambda: compile_c(Path(folder)),
+            "c": lambda: in_c[0],
+            "c_by_ctypes": lambda: in_c[1],
             "numpy": lambda: in_numpy,
             "filterpy": lambda: in_filterpy,
             "python_control": lambda: in_python_control,
@@ -248,8 +263,7 @@ def compare(rounds: int, only: Sequence[str] = ()) -> dict[str, Any]:
             else:
                 made[name] = prepare()
         if "c" in made:
-            in_c = made["c"]
-            made["c_position_stage"] = lambda: in_c(_NEAR)
+            made["c_position_stage"] = lambda: in_c[0](_NEAR)
         given = {name: near if name.endswith("position_stage") else far for name in made}
         for name, make in made.items():
             check(name, make, *given[name])
