@@ -15,7 +15,7 @@ follows it, the observer's disturbance is cancelled, and the velocity error is f
 """
 
 import enum
-import math
+from math import copysign, inf, isfinite, isinf, sqrt
 
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
@@ -38,6 +38,10 @@ class Stage(enum.IntEnum):
     SPEED = 1
     POSITION = 2
     BRAKE = 3
+
+
+_SPEED, _POSITION = Stage.SPEED, Stage.POSITION
+"""Looked up once: a member of an enumeration takes a twentieth of the whole step each time."""
 
 
 def braking_gain(plant: DiscretePlant) -> float:
@@ -102,9 +106,9 @@ class TwoStageLaw:
         gains: ServoGains,
         period_s: float,
         *,
-        acceleration_limit: float = math.inf,
-        effort_limit: float = math.inf,
-        effort_rate_limit: float = math.inf,
+        acceleration_limit: float = inf,
+        effort_limit: float = inf,
+        effort_rate_limit: float = inf,
         rest_velocity: float = 0.0,
     ) -> None:
         self.observer = observer
@@ -159,7 +163,7 @@ class TwoStageLaw:
             Magnitude of the cruise velocity v, in axis unit/s, greater than 0.
         """
         offset = target - self.observer.position
-        self._direction = direction = math.copysign(1.0, offset)
+        self._direction = direction = copysign(1.0, offset)
         distance = direction * offset
         approach = direction * self.observer.velocity
         tolerance = SPEED_TOLERANCE * velocity
@@ -206,10 +210,10 @@ class TwoStageLaw:
             sample = observer.position
         observer.update(sample, self.effort)
         velocity = observer.velocity
-        if self.stage is Stage.POSITION:
+        if self.stage is _POSITION:
             self._sum += self._f22 * (self.target - sample)
             effort = self._sum - self._f12 * velocity - self._f11 * (observer.position + self._offset)
-        elif self.stage is Stage.SPEED:
+        elif self.stage is _SPEED:
             effort = self._sum - self._f12 * velocity
             if self._speed_stage_ends():
                 self._enter_position_stage(effort)
@@ -218,10 +222,10 @@ class TwoStageLaw:
         else:
             self.effort = self._braking_effort()
             return self.effort
-        self.effort = self._limited(effort)
-        if self.effort != effort:
-            self._sum += self.effort - effort
-        return self.effort
+        self.effort = limited = self._limited(effort)
+        if limited != effort:
+            self._sum += limited - effort
+        return limited
 
     def skip(self, periods: int) -> None:
         """Account for periods in which no step was made: the last effort acted on, unseen."""
@@ -236,7 +240,7 @@ class TwoStageLaw:
 
     def _limited(self, effort: float) -> float:
         """Hold the effort within its limit and its rate; what is no number stays none, for others to see."""
-        if not math.isfinite(effort):
+        if not isfinite(effort):
             return effort
         limit = self.effort_limit
         self.saturated = not -limit <= effort <= limit
@@ -244,7 +248,7 @@ class TwoStageLaw:
             effort = limit if effort > 0.0 else -limit
         step = effort - self.effort
         if abs(step) > self._largest_step:
-            effort = self.effort + math.copysign(self._largest_step, step)
+            effort = self.effort + copysign(self._largest_step, step)
         return effort
 
     def _braking_effort(self) -> float:
@@ -261,7 +265,7 @@ class TwoStageLaw:
             return effort
         plant = observer.plant
         step = min(ramp, self._steepest_step(abs(now)))
-        ahead = 0.0 if abs(now) <= step else now - math.copysign(step, now)
+        ahead = 0.0 if abs(now) <= step else now - copysign(step, now)
         wanted = (ahead - plant.a22 * now) / plant.b2 - observer.disturbance + self._braking_gain * (now - velocity)
         effort = self._limited(wanted)
         if effort != wanted:
@@ -278,32 +282,30 @@ class TwoStageLaw:
         If each step is smaller by r than the one before, a step s and all after it take ``s + s (s - r) / 2r`` away.
         """
         rate = self._largest_step * abs(self.observer.plant.b2)
-        if math.isinf(rate):
-            return math.inf
-        return math.sqrt(0.25 * rate * rate + 2.0 * rate * speed) - 0.5 * rate
+        if isinf(rate):
+            return inf
+        return sqrt(0.25 * rate * rate + 2.0 * rate * speed) - 0.5 * rate
 
     def _speed_stage_ends(self) -> bool:
         """Decide the change-over from the estimate of this very tick."""
-        velocity = self.observer.velocity
         offset = self.target - self.observer.position
-        direction = math.copysign(1.0, offset)
+        direction = copysign(1.0, offset)
         if direction != self._direction:  # passed the set-point while braking: turn round
             self._direction = direction
             self._braking = False
-        approach = velocity if self._braking else self.speed_reference
+        distance = direction * offset
         if self._braking:
-            return direction * approach * self._changeover_time <= direction * offset
-        return 0.0 < direction * offset <= direction * approach * self._changeover_time
+            return direction * self.observer.velocity * self._changeover_time <= distance
+        return 0.0 < distance <= direction * self.speed_reference * self._changeover_time
 
     def _ramped_reference(self) -> float:
         """Move the speed reference towards its goal by at most the acceleration limit; return it."""
         goal = 0.0 if self._braking else self._direction * self.cruise_velocity
         change = goal - self.speed_reference
-        if abs(change) <= self._ramp:
-            self.speed_reference = goal
-        else:
-            self.speed_reference += math.copysign(self._ramp, change)
-        return self.speed_reference
+        if abs(change) > self._ramp:
+            goal = self.speed_reference + copysign(self._ramp, change)
+        self.speed_reference = goal
+        return goal
 
     def _enter_position_stage(self, effort: float) -> None:
         """Take the position stage's sum so that it gives this effort at the present estimate."""
