@@ -2,7 +2,7 @@
 
 ``python tools/soak/run.py axis --hours 1000`` runs axes with their plants, without a bus; ``service --hours 50`` runs
 whole services over CAN frames. Each episode has a seed of its own and can be run again alone: ``--first-seed N
---episodes 1``.
+--episodes 1``. Progress goes to stderr; Ctrl-C ends the run with what has been done so far.
 """
 
 import argparse
@@ -12,6 +12,7 @@ import multiprocessing
 import os
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -73,19 +74,46 @@ def main() -> int:
     length_s = EPISODE_S[options.kind]
     count = options.episodes or max(1, round(3600.0 * options.hours / length_s))
     started = time.perf_counter()
-    results = []
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(options.jobs, context) as pool:
-        futures = [pool.submit(episode, options.kind, options.first_seed + number, length_s) for number in range(count)]
-        for future in concurrent.futures.as_completed(futures):
-            results.append(future.result())
-            if not options.json and sys.stdout.isatty():
-                done_h = sum(r["simulated_s"] for r in results) / 3600.0
-                broken = sum(r["broken"] is not None for r in results)
-                print(f"\r{len(results)} of {count} episodes, {done_h:.1f} h, {broken} broken", end="", flush=True)
+    results: list[dict[str, Any]] = []
+    seeds = range(options.first_seed, options.first_seed + count)
+    try:
+        for result in episodes(options.kind, seeds, length_s, options.jobs):
+            results.append(result)
+            show_progress(results, count)
+    except KeyboardInterrupt:
+        print("\ninterrupted", file=sys.stderr)
+        if not results:
+            return 130
     summary = summarise(results, time.perf_counter() - started, options.kind)
-    print(json.dumps(summary) if options.json else "\n" + as_text(summary))
+    print(json.dumps(summary) if options.json else as_text(summary))
     return 1 if summary["broken"] or summary["memory_growth_mb"] > MOST_GROWTH_MB else 0
+
+
+def episodes(kind: str, seeds: Iterable[int], simulated_s: float, jobs: int) -> Iterator[dict[str, Any]]:
+    """Run episodes on some cores and give what each came to as it ends; on the way out, give up those not yet begun."""
+    pool = concurrent.futures.ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+    try:
+        futures = [pool.submit(episode, kind, seed, simulated_s) for seed in seeds]
+        for future in concurrent.futures.as_completed(futures):
+            yield future.result()
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def show_progress(results: list[dict[str, Any]], count: int) -> None:
+    """Tell how far it is: on one line of a terminal, and ten times in all elsewhere."""
+    done, terminal = len(results), sys.stderr.isatty()
+    if not terminal and (10 * done) // count == (10 * (done - 1)) // count:
+        return
+    done_h = sum(r["simulated_s"] for r in results) / 3600.0
+    broken = sum(r["broken"] is not None for r in results)
+    text = f"{done} of {count} episodes, {done_h:.1f} h, {broken} broken"
+    print(
+        f"\r{text}" if terminal else text,
+        end="\n" if done == count or not terminal else "",
+        file=sys.stderr,
+        flush=True,
+    )
 
 
 def summarise(results: list[dict[str, Any]], seconds: float, kind: str) -> dict[str, Any]:
