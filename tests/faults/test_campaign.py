@@ -273,3 +273,9 @@ def test_an_axis_searches_if_it_can_and_is_left_alone_if_not() -> None:
 
     assert phases() == set(Phase)
     assert phases("protocol.feedback.home_switch=false") == set(Phase) - {Phase.HOMING}
+
+
+def test_what_is_printed_is_one_json_object_and_nothing_else(capfd: pytest.CaptureFixture[str]) -> None:
+    """Also with the fault whose service has a log of its own, within the log of the campaign."""
+    assert main(["faults", "--fault", "52", "--phase", "holding", "--simulated", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["met"] == 1

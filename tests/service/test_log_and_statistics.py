@@ -98,3 +98,16 @@ def test_a_line_is_json_with_a_priority_for_the_journal(
     }  # fmt: skip
     assert json.loads(second.removeprefix(prefix))["event"] == "from elsewhere"
     assert logging.getLogger().handlers == handlers
+
+
+def test_a_log_within_a_log_gives_the_outer_one_back() -> None:
+    outer_stream, inner_stream = io.StringIO(), io.StringIO()
+    outer = open_log("info", outer_stream)
+    inner = open_log("critical", inner_stream)
+    structlog.get_logger().critical("inside")
+    inner.close()
+    structlog.get_logger().info("outside")
+    outer.close()
+    assert not structlog.is_configured()
+    assert "inside" in inner_stream.getvalue()
+    assert [json.loads(line)["event"] for line in outer_stream.getvalue().splitlines()] == ["outside"]

@@ -85,6 +85,7 @@ def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> 
         ]
     )
     least = logging.getLevelNamesMapping()[level.upper()]
+    outer = structlog.get_config() if structlog.is_configured() else None
     structlog.configure(
         processors=[
             structlog.processors.add_log_level,
@@ -101,6 +102,8 @@ def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> 
 
     def restore() -> None:
         structlog.reset_defaults()
+        if outer is not None:
+            structlog.configure(**outer)
         handlers, root_level, can_level = before
         root.handlers[:] = handlers
         root.setLevel(root_level)
