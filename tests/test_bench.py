@@ -1,17 +1,25 @@
 """The benchmark's contract: the shape of its result, and its budgets. No figure is judged: the machine may be busy."""
 
+import asyncio
+import contextlib
 import copy
 import importlib.util
+import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
-from bench import budgets, control_step, lateness, loops, packages, run, summary, whole_tick
+from bench import budgets, client_load, clients, control_step, lateness, loops, packages, run, summary, whole_tick
 from bench.plan import QUICK
+
+from twostage_servo.simulation.virtual_clock import run as simulate
+
+if TYPE_CHECKING:
+    from bench.machine import Service
 
 FIGURES = {"p50", "p90", "p99", "max"}
 
@@ -49,6 +57,56 @@ def test_a_whole_tick_and_its_phases() -> None:
     assert told["tick_us"]["count"] >= 20
     assert list(told["phase_share"]) == list(whole_tick.PHASES)
     assert sum(told["phase_share"].values()) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_line_through_whole_ticks_and_how_straight_they_lie() -> None:
+    straight = whole_tick.fit({axes: 7.0 + 45.0 * axes for axes in whole_tick.AXES})
+    assert straight == {
+        "whole_tick_of_no_axis_us": 7.0, "whole_tick_per_axis_us": 45.0, "marginal_cost_growth": 1.0,
+    }  # fmt: skip
+    bent = whole_tick.fit({axes: 45.0 * axes + (20.0 * (axes - 32) if axes > 32 else 0.0) for axes in whole_tick.AXES})
+    assert bent["marginal_cost_growth"] == pytest.approx(65.0 / 45.0, abs=1e-4)
+    assert whole_tick.fit({1: 50.0, 2: 90.0}) == {}
+
+
+def test_lateness_comes_from_the_recording_and_a_missed_deadline_is_met_late() -> None:
+    class Told:
+        def ask(self, **_: object) -> dict[str, object]:
+            return {
+                "fields": ["tick", "missed", "state", "lateness_us"],
+                "records": [[7, 0, "holding", 1.0], [8, 0, "holding", 2.5], [11, 2, "holding", 30.0]],
+            }
+
+    lateness_us = clients._lateness_us(cast("Service", Told()), {"count": 5, "missed": 2}, 0.01)
+    assert lateness_us == [2.5, 20_030.0]
+
+
+@pytest.mark.parametrize("kind", sorted(client_load.KINDS))
+def test_clients_make_work_until_they_are_ended(kind: str, tmp_path: Path) -> None:
+    """In simulated time, against a server that answers each line."""
+    asked: list[bytes] = []
+
+    async def main() -> None:
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            with contextlib.closing(writer):
+                while line := await reader.readline():
+                    asked.append(line)
+                    writer.write(b"{}\n")
+
+        server = await asyncio.start_unix_server(serve, tmp_path / "s")
+        load = asyncio.ensure_future(client_load.KINDS[kind](tmp_path / "s"))
+        # A flood leaves the simulated clock no idle moment to go on in, so passes of the loop are counted.
+        for _ in range(200):
+            await asyncio.sleep(0.0 if kind == "flooding_client" else 0.01)
+        load.cancel()
+        await asyncio.gather(load, return_exceptions=True)
+        server.close()
+        await asyncio.sleep(0.01)
+
+    simulate(main())
+    wanted = {"never_reading_watcher": 1, "flooding_client": 100, "fifty_clients": 300}
+    assert len(asked) >= wanted[kind]
+    assert all(json.loads(line)["op"] in {"watch", "status", "move", "recording"} for line in asked)
 
 
 def test_each_pass_of_a_loop_has_a_lateness() -> None:
@@ -115,7 +173,8 @@ def test_a_kept_and_a_broken_budget(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_every_budget_and_goal_names_figures_that_a_run_has() -> None:
     tables = {"frame_jitter_us", "frame_jitter_us_loaded", "tick_lateness_us_loaded", "whole_tick_real_time_us",
-              "startup_s", "status_s", *FIGURES_OF_A_RUN}  # fmt: skip
+              "startup_s", "status_s", "clients_lateness_us", "millisecond_missed_share", "marginal_cost_growth",
+              *FIGURES_OF_A_RUN}  # fmt: skip
     for kind in ("budget", "goal"):
         entries = budgets.read(kind, {})
         assert len(entries) > 5

@@ -54,7 +54,7 @@ def serve(path: Path, script: Callable[[World, ControlSocket], Awaitable[None]],
     """Run service, drive and control socket in simulated time until the script ends."""
 
     async def main(world: World) -> None:
-        control = ControlSocket(path, world.service.handle, world.service.snapshot, world.service.desk.leave)
+        control = ControlSocket(path, world.service)
         world.service.publishers.append(lambda tick: control.publish(tick.index))
         await control.start()
         try:

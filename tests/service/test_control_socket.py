@@ -180,7 +180,7 @@ def test_only_owner_and_group_may_open_the_socket(path: Path) -> None:
 def test_a_second_service_is_refused_and_a_dead_socket_is_taken_over(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         with pytest.raises(SocketInUseError, match="another service answers"):
-            await ControlSocket(path, world.service.handle, world.service.snapshot, world.service.desk.leave).start()
+            await ControlSocket(path, world.service).start()
 
     serve(path, script)
     path.parent.mkdir(exist_ok=True)
@@ -195,7 +195,7 @@ def test_a_file_that_is_no_socket_is_not_removed(path: Path) -> None:
 
     async def script(world: World) -> None:
         with pytest.raises(OSError, match="is not a socket"):
-            await ControlSocket(path, world.service.handle, world.service.snapshot, world.service.desk.leave).start()
+            await ControlSocket(path, world.service).start()
 
     simulate(script)
     assert path.read_text() == "precious"
@@ -225,16 +225,16 @@ def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch, t
 def test_a_flood_of_requests_does_not_hold_up_the_tick(path: Path) -> None:
     """Each request is one pass of the loop: a tick that is due comes between two of them, not after all."""
 
-    async def script(world: World, control: ControlSocket) -> None:
+    async def script(world: World, __: ControlSocket) -> None:
         served = 0
-        handle = control._handle
+        handle = world.service.handle
 
-        def count(request: Request, client: str) -> dict[str, Any]:
+        def count(request: Request, client: str = "") -> dict[str, Any]:
             nonlocal served
             served += 1
             return handle(request, client)
 
-        control._handle = count
+        world.service.handle = count  # type: ignore[method-assign]
         operator = await connect(path)
         operator.writer.write(b'{"op": "status"}\n' * 1000)
         seen = []

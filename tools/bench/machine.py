@@ -70,13 +70,13 @@ class Machine:
             stack.enter_context(child(machine.command("drive"), extra=machine.environment, stdout=log, stderr=log))
             yield machine
 
-    def command(self, verb: str) -> list[str]:
-        """Return the command that starts the service or the drive."""
-        overrides = [word for override in _OVERRIDES for word in ("--set", override)]
+    def command(self, verb: str, *more: str) -> list[str]:
+        """Return the command that starts the service or the drive, with more overrides."""
+        overrides = [word for override in (*_OVERRIDES, *more) for word in ("--set", override)]
         return [*PROGRAM, verb, "--config", str(self._config), *overrides]
 
     @contextlib.contextmanager
-    def service(self) -> Iterator["Service"]:
+    def service(self, *overrides: str) -> Iterator["Service"]:
         """Run a service while the block runs; it begins when the service has answered its first request."""
         notifications = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         path = Path(self.environment["NOTIFY_SOCKET"])
@@ -88,7 +88,7 @@ class Machine:
             log_path = self._folder / "service.log"
             log = stack.enter_context(log_path.open("w", encoding="utf-8"))
             begun_s = time.monotonic()
-            command = self.command("run")
+            command = self.command("run", *overrides)
             process = stack.enter_context(
                 child(command, extra=self.environment, stdout=log, stderr=log, priority=self.priority)
             )
@@ -128,6 +128,19 @@ class Service:
         self.start_s = start_s
         self.driven = False
         self._client = client
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        """Ask for something once; return the answer.
+
+        Raises
+        ------
+        ChildError
+            If it is refused.
+        """
+        try:
+            return self._client.request(**request)
+        except CommandError as error:
+            raise ChildError(f"the service refuses {request}: {error}") from error
 
     def insist(self, **request: Any) -> None:
         """Ask for something until it is not refused any more: the drive may not have been heard yet.

@@ -27,6 +27,10 @@ class Plan:
         Rounds of the control step; timed ticks of the whole tick, in simulated and in real time.
     memory_warm_up, memory_ticks
         Ticks before the resident memory is read first, and between the two readings.
+    client_rounds, clients_s
+        Rounds over the kinds of clients, and how long the service is watched with each.
+    short_ticks_s
+        How long the tick of 1 ms runs; 0 leaves it out.
     starts, asks, cpu_s
         Starts of the service, calls of `status`, and how long the service's share of a core is looked at.
     """
@@ -39,10 +43,13 @@ class Plan:
     real_ticks: int
     memory_warm_up: int
     memory_ticks: int
+    client_rounds: int
+    clients_s: float
+    short_ticks_s: float
     starts: int
     asks: int
     cpu_s: float
 
 
-FULL: Final = Plan(3, 5.0, 10.0, 40, 20_000, 1_000, 50_000, 1_000_000, 5, 10, 15.0)
-QUICK: Final = Plan(1, 0.8, 0.8, 8, 3_000, 100, 1_000, 5_000, 1, 3, 1.5)
+FULL: Final = Plan(3, 5.0, 10.0, 40, 20_000, 1_000, 50_000, 1_000_000, 2, 10.0, 60.0, 5, 10, 15.0)
+QUICK: Final = Plan(1, 0.8, 0.8, 8, 3_000, 100, 1_000, 5_000, 1, 0.8, 0.0, 1, 3, 1.5)

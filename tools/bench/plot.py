@@ -16,15 +16,19 @@ _PANELS: Final = (
     ("frame_jitter_us_loaded", "the same beside four CPU hogs"),
     ("control_step_us", "Control step (µs)"),
     ("whole_tick_us", "Whole tick by number of axes (µs)"),
+    ("clients_lateness_us", "Lateness of a tick beside clients (µs)"),
+    ("millisecond_lateness_us", "Lateness of a tick of 1 ms (µs)"),
 )
 
 
 def draw(result: Mapping[str, Any], picture: Path) -> None:
     """Draw one panel for each comparison: a line from p50 to p99, a dot at p90, a thin line on to the maximum."""
-    figure = Figure(figsize=(11.0, 8.5), layout="constrained")
-    panels = figure.subplots(3, 2).flat
+    figure = Figure(figsize=(11.0, 11.0), layout="constrained")
+    panels = figure.subplots(4, 2).flat
     for (key, title), panel in zip(_PANELS, panels, strict=True):
         rows = dict(result.get(key, {}))
+        if "p50" in rows:
+            rows = {"ours": rows}
         if key == "whole_tick_us":
             rows |= {f"{axes}, real time": row for axes, row in result.get("whole_tick_real_time_us", {}).items()}
         if key.startswith("frame_jitter"):

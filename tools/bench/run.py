@@ -20,7 +20,7 @@ from typing import Any, Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench import budgets, control_step, frame_jitter, lateness, processes, simulated_time, whole_tick
+from bench import budgets, clients, control_step, frame_jitter, lateness, processes, simulated_time, whole_tick
 from bench.children import ChildError
 from bench.load import hogs, unloaded
 from bench.machine import Machine
@@ -29,7 +29,7 @@ from bench.scheduling import may_run_at
 from twostage_servo import __version__
 from twostage_servo.cli.output import CommandError
 
-PARTS: Final = ("lateness", "frames", "step", "tick", "simulation", "processes")
+PARTS: Final = ("lateness", "frames", "step", "tick", "simulation", "processes", "clients", "millisecond")
 _Note = Callable[[str], None]
 
 
@@ -102,6 +102,17 @@ class Run:
     def _processes(self) -> None:
         with Machine.running(self._priority) as machine:
             self.result |= processes.measure(machine, self._plan, self._named("processes"))
+
+    def _clients(self) -> None:
+        with Machine.running(self._priority) as machine:
+            self._take("clients_lateness_us", *clients.measure(machine, self._plan, self._named("clients")))
+
+    def _millisecond(self) -> None:
+        if not self._plan.short_ticks_s:
+            self.result["not_measured"]["millisecond_missed_share"] = "it takes a minute: not with --quick"
+            return
+        with Machine.running(self._priority) as machine:
+            self.result |= clients.measure_short_ticks(machine, self._plan, self._named("millisecond"))
 
     @staticmethod
     def _loaded_and_not(measure: Callable[[str], tuple[dict[str, Any], dict[str, str]]]) -> dict[str, Any]:

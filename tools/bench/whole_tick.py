@@ -10,8 +10,10 @@ import contextlib
 import functools
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
+
+import numpy as np
 
 from bench.children import ChildError, json_of, module
 from bench.plan import Plan
@@ -29,7 +31,10 @@ _WARM_UP: Final = 50
 
 
 def measure(plan: Plan, priority: int, note: Callable[[str], None]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return ``whole_tick_us``, ``whole_tick_real_time_us`` and ``phase_share``, and why some axes have no figures."""
+    """Return the figures of whole ticks, and why some numbers of axes have none.
+
+    These are ``whole_tick_us``, ``whole_tick_real_time_us``, ``phase_share``, and what :func:`fit` makes of the first.
+    """
     result: dict[str, Any] = {"whole_tick_us": {}, "whole_tick_real_time_us": {}, "phase_share": {}}
     not_measured = {}
     for axes in AXES:
@@ -44,7 +49,42 @@ def measure(plan: Plan, priority: int, note: Callable[[str], None]) -> tuple[dic
             result[f"whole_tick{kind}_us"][str(axes)] = told["tick_us"]
             if not kind:
                 result["phase_share"][str(axes)] = told["phase_share"]
-    return result, not_measured
+    return result | fit({int(axes): row["p50"] for axes, row in result["whole_tick_us"].items()}), not_measured
+
+
+def fit(median_us: Mapping[int, float]) -> dict[str, float]:
+    """Return what an axis more costs: the line through the medians by least squares, and how straight they lie.
+
+    Parameters
+    ----------
+    median_us
+        Median of the whole tick in µs, by number of axes.
+
+    Returns
+    -------
+    dict
+        ``whole_tick_of_no_axis_us`` and ``whole_tick_per_axis_us``: the line. The relative error counts, not the
+        absolute one, so that few axes weigh as much as many. ``marginal_cost_growth``: what an axis costs between the
+        two largest numbers, by what it costs between the smallest and the fourth. Empty with fewer than five numbers.
+    """
+    sizes = sorted(median_us)
+    if len(sizes) < 5:
+        return {}
+    weights = [1.0 / median_us[size] for size in sizes]
+    (intercept, slope), *_ = np.linalg.lstsq(
+        np.array([[weight, weight * size] for weight, size in zip(weights, sizes, strict=True)]),
+        np.ones(len(sizes)),
+        rcond=None,
+    )
+
+    def marginal(few: int, many: int) -> float:
+        return (median_us[many] - median_us[few]) / (many - few)
+
+    return {
+        "whole_tick_of_no_axis_us": round(float(intercept), 3),
+        "whole_tick_per_axis_us": round(float(slope), 3),
+        "marginal_cost_growth": round(marginal(*sizes[-2:]) / marginal(sizes[0], sizes[3]), 4),
+    }
 
 
 class Stopwatch:

@@ -244,7 +244,7 @@ class Desk:
     def __init__(self, bench: Bench, path: Path) -> None:
         service = bench.service
         self.bench = bench
-        self.socket = ControlSocket(path, service.handle, service.snapshot, service.desk.leave)
+        self.socket = ControlSocket(path, service)
         self.codes: Counter[str] = Counter()
         self._here, self._there = socket.socketpair()
         writer: Any = _Writer(self._here)

@@ -90,7 +90,7 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     for station in service.stations:
         station.reporter.trip_files = trip_files
     service.desk.reload = lambda: _reload(service, machine, options)
-    control = ControlSocket(path, service.handle, service.snapshot, service.desk.leave)
+    control = ControlSocket(path, service)
     try:
         await control.start()
     except OSError as error:

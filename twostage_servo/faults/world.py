@@ -169,12 +169,7 @@ class World:
         """Connect to the service's control socket, which is served from the first client on."""
         if self._socket is None:
             self._folder = tempfile.TemporaryDirectory(prefix="twostage-servo-")
-            self._socket = control = ControlSocket(
-                Path(self._folder.name) / "control.sock",
-                self.service.handle,
-                self.service.snapshot,
-                self.service.desk.leave,
-            )
+            self._socket = control = ControlSocket(Path(self._folder.name) / "control.sock", self.service)
             self.service.publishers.append(lambda tick: control.publish(tick.index))
             await self._socket.start()
         reader, writer = await asyncio.open_unix_connection(str(self._socket.path), limit=1 << 20)

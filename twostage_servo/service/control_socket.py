@@ -11,17 +11,20 @@ import json
 import os
 import socket
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import structlog
 from pydantic import ValidationError
 
 from twostage_servo.axis.messages import Refused
 from twostage_servo.service.address import prepare_folder
-from twostage_servo.service.requests import READING, REQUESTS, JogRequest, Request, WatchRequest
+from twostage_servo.service.requests import READING, REQUESTS, JogRequest, WatchRequest
 from twostage_servo.service.snapshot import ready_for_json
+
+if TYPE_CHECKING:
+    from twostage_servo.service.loop import ServoService
 
 Answer = dict[str, Any]
 
@@ -29,6 +32,8 @@ _LONGEST_LINE = 65_536
 _MOST_CLIENTS = 64
 _MOST_UNREAD = 262_144
 _RECORDS_A_PIECE = 50
+_URGENT = (b'"stop"', b'"disarm"')
+"""What makes a line urgent, whatever else it says: it is looked for before the line has been read as JSON."""
 
 
 class SocketInUseError(OSError):
@@ -42,25 +47,13 @@ class ControlSocket:
     ----------
     path
         Path of the socket.
-    handle
-        Carries out a request of the client that is named, and returns its answer; raises :class:`Refused`.
-    snapshot
-        Makes what watchers are sent, of the axis that is named or of all.
-    leave
-        Told the name of a client whose connection has ended.
+    service
+        What the requests are for; it says when they may be served.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        handle: Callable[[Request, str], Answer],
-        snapshot: Callable[[str | None], Answer],
-        leave: Callable[[str], None],
-    ) -> None:
+    def __init__(self, path: Path, service: "ServoService") -> None:
         self.path = path
-        self._handle = handle
-        self._snapshot = snapshot
-        self._leave = leave
+        self._service = service
         self._connections = itertools.count(1)
         self._server: asyncio.Server | None = None
         self._clients: set[_Client] = set()
@@ -105,7 +98,7 @@ class ControlSocket:
             if client.every and tick >= client.due and not client.busy:
                 client.due = tick + client.every
                 if client.axis not in lines:
-                    lines[client.axis] = encode({"event": "snapshot", **self._snapshot(client.axis)})
+                    lines[client.axis] = encode({"event": "snapshot", **self._service.snapshot(client.axis)})
                 client.send_unless_behind(lines[client.axis])
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -122,13 +115,19 @@ class ControlSocket:
         self._clients.add(client)
         try:
             while line := await self._read_line(client, reader):
-                answer = self._answer(client, line)
-                # A pass of the loop for each request, and for each piece of a long answer: a tick may come between.
-                client.busy = True
-                for piece in encode_in_pieces(answer):
-                    client.send(piece)
-                    await writer.drain()
-                    await asyncio.sleep(0)
+                # A turn for each request, and for each piece of a long answer: a tick may come between.
+                async with self._service.turns.turn(urgent=any(word in line for word in _URGENT)):
+                    answer = self._answer(client, line)
+                    pieces = encode_in_pieces(answer)
+                    client.busy = True
+                    client.send(next(pieces))
+                await self._let_others_go(writer)
+                is_long = bool(answer.get("records"))
+                while is_long:
+                    async with self._service.turns.turn():
+                        is_long = bool(piece := next(pieces, b""))
+                        client.send(piece)
+                    await self._let_others_go(writer)
                 client.busy = False
         except ConnectionError as error:
             self._log.info("client lost", peer=client.peer, error=str(error))
@@ -136,10 +135,16 @@ class ControlSocket:
             self._log.error("a client could not be served", peer=client.peer, exc_info=error)
         finally:
             self._clients.discard(client)
-            self._leave(client.peer)
+            self._service.desk.leave(client.peer)
             client.close()
             with contextlib.suppress(OSError):  # the other side may be gone already, which ends it as well
                 await writer.wait_closed()
+
+    @staticmethod
+    async def _let_others_go(writer: asyncio.StreamWriter) -> None:
+        """Wait until the client has read most of what it was sent, and for a pass of the loop in any case."""
+        await writer.drain()
+        await asyncio.sleep(0)
 
     async def _read_line(self, client: "_Client", reader: asyncio.StreamReader) -> bytes:
         """Return the next line; nothing at the end of the connection, or where it must end."""
@@ -159,7 +164,7 @@ class ControlSocket:
         if not isinstance(request, (*READING, JogRequest)):  # a jog is asked for several times a second
             self._log.info("request", peer=client.peer, **request.model_dump(exclude_none=True))
         try:
-            answer = self._handle(request, client.peer)
+            answer = self._service.handle(request, client.peer)
         except Refused as error:
             self._log.warning("refused", peer=client.peer, op=request.op, code=error.code, reason=str(error))
             return _failure(error.code, str(error))

@@ -17,6 +17,7 @@ from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.service.snapshot import report_service
 from twostage_servo.service.station import Station
 from twostage_servo.service.statistics import TickStatistics
+from twostage_servo.service.turns import Turns
 from twostage_servo.ticks import Tick, Ticks, spin
 
 if TYPE_CHECKING:
@@ -46,6 +47,8 @@ class ServoService:
         The axes, in the order of their names' appearance.
     desk
         Where clients ask for what they want.
+    turns
+        When they may ask: between the ticks.
     statistics
         What the ticks were like.
     failure
@@ -72,6 +75,7 @@ class ServoService:
         self.statistics = TickStatistics()
         self.uptime_s = 0.0
         self.desk = Desk(self)
+        self.turns = Turns(self.ticks.period_s)
         self.publishers: list[Publisher] = []
         self.after_tick: Callable[[Tick, float], None] | None = None
         self.send_offset: SendOffset | None = None
@@ -122,7 +126,9 @@ class ServoService:
                 self._end_at_rest()
                 if self.after_tick is not None:
                     self.after_tick(tick, ended_s)
+                self.turns.open(tick.deadline_s + self.ticks.period_s - self.ticks.margin_s)
         finally:
+            self.turns.end()
             try:
                 for station in self.stations:
                     station.disable_drive(tick_index)

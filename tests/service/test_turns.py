@@ -1,0 +1,169 @@
+"""When clients are served, on a host whose clock moves on while it works."""
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+
+from tests.host_loop import HostLoop
+from twostage_servo.service.turns import Turns
+
+PERIOD_S = 0.01
+
+
+class Desk:
+    """Serves whoever asks, in turns, and notes who was served and when."""
+
+    def __init__(self) -> None:
+        self.turns = Turns(PERIOD_S)
+        self.served: list[tuple[str, float]] = []
+        self.clients: set[asyncio.Task[None]] = set()
+        self.loop = asyncio.get_running_loop()
+
+    def ask(self, name: str, work_s: float, *, urgent: bool = False) -> "asyncio.Task[None]":
+        task = asyncio.create_task(self._serve(name, work_s, urgent=urgent))
+        self.clients.add(task)
+        return task
+
+    async def tick(self, next_s: float) -> None:
+        """End a tick: the loop has to be free at a time; then let everybody do what can be done by then."""
+        self.turns.open(next_s)
+        for _ in range(200):
+            await asyncio.sleep(0)
+
+    @property
+    def names(self) -> str:
+        return "".join(name for name, _ in self.served)
+
+    async def _serve(self, name: str, work_s: float, *, urgent: bool) -> None:
+        async with self.turns.turn(urgent=urgent):
+            self.served.append((name, self.loop.time()))
+            assert isinstance(self.loop, HostLoop)
+            self.loop.work(work_s)
+
+
+def on_host(script: Callable[[Desk], Awaitable[None]]) -> Desk:
+    async def main() -> Desk:
+        desk = Desk()
+        await script(desk)
+        for task in desk.clients:
+            task.cancel()
+        await asyncio.gather(*desk.clients, return_exceptions=True)
+        return desk
+
+    with asyncio.Runner(loop_factory=HostLoop) as runner:
+        return runner.run(main())
+
+
+def test_nobody_is_served_before_the_first_tick_and_all_in_their_order_after_it() -> None:
+    async def script(desk: Desk) -> None:
+        for name in "abc":
+            desk.ask(name, 1e-4)
+        await asyncio.sleep(0)
+        assert desk.names == ""
+        await desk.tick(desk.loop.time() + PERIOD_S)
+
+    assert on_host(script).names == "abc"
+
+
+def test_all_together_take_three_tenths_of_a_period_and_the_rest_waits_for_the_next_tick() -> None:
+    async def script(desk: Desk) -> None:
+        for name in "abcdefgh":
+            desk.ask(name, 1e-3)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() + PERIOD_S)
+        assert desk.names == "abc"
+        await desk.tick(desk.loop.time() + PERIOD_S)
+        assert desk.names == "abcdef"
+
+    on_host(script)
+
+
+def test_no_turn_begins_that_could_last_into_the_wait_for_the_next_tick() -> None:
+    async def script(desk: Desk) -> None:
+        desk.ask("a", 1.5e-3)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() + PERIOD_S)  # now it is known how long a turn may take
+        free_until_s = desk.loop.time() + 2.5e-3
+        for name in "bcd":
+            desk.ask(name, 0.2e-3)
+        await asyncio.sleep(0)
+        desk.turns.open(free_until_s)
+        for _ in range(50):
+            await asyncio.sleep(0)
+        desk.loop._now_s = free_until_s - 1.0e-3  # type: ignore[attr-defined]
+        desk.ask("e", 0.2e-3)
+        await asyncio.sleep(0)
+        assert desk.names == "abcd"
+        await desk.tick(desk.loop.time() + PERIOD_S)
+        assert desk.names == "abcde"
+
+    on_host(script)
+
+
+def test_one_is_served_after_each_tick_however_late_it_is() -> None:
+    async def script(desk: Desk) -> None:
+        for name in "abc":
+            desk.ask(name, 1e-4)
+        await asyncio.sleep(0)
+        for served in ("a", "ab", "abc"):
+            await desk.tick(desk.loop.time() - 1.0)
+            assert desk.names == served
+
+    on_host(script)
+
+
+def test_the_urgent_go_first_and_none_waits_for_more_than_a_tick() -> None:
+    async def script(desk: Desk) -> None:
+        for name in "abcdef":
+            desk.ask(name, 2e-3)
+        for name in "XYZ":
+            desk.ask(name, 2e-3, urgent=True)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() - 1.0)
+        assert desk.names == "XYZa"
+
+    on_host(script)
+
+
+def test_a_turn_that_is_given_to_one_who_has_gone_is_passed_on() -> None:
+    async def script(desk: Desk) -> None:
+        leaving = desk.ask("a", 1e-4)
+        desk.ask("b", 1e-4)
+        await asyncio.sleep(0)
+        desk.turns.open(desk.loop.time() + PERIOD_S)
+        leaving.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await leaving
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    assert on_host(script).names == "b"
+
+
+def test_a_long_turn_does_not_shut_the_others_out_for_good() -> None:
+    async def script(desk: Desk) -> None:
+        desk.ask("a", 1.0)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() + PERIOD_S)
+        for name in "bcd":
+            desk.ask(name, 1e-4)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() + PERIOD_S)
+        assert desk.names == "abcd"
+
+    on_host(script)
+
+
+def test_when_there_are_no_more_ticks_everybody_is_served() -> None:
+    async def script(desk: Desk) -> None:
+        for name in "abcdefgh":
+            desk.ask(name, 1e-3)
+        await asyncio.sleep(0)
+        desk.turns.end()
+        for _ in range(50):
+            await asyncio.sleep(0)
+        desk.ask("i", 1e-3)
+        for _ in range(5):
+            await asyncio.sleep(0)
+
+    assert on_host(script).names == "abcdefghi"

@@ -1,0 +1,106 @@
+"""Clients of the control socket that make work for the service: ``python -m bench.client_load KIND --socket PATH``.
+
+One process for all of them. It prints a line when they are connected, and goes on until it is ended.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any, Final
+
+_CLIENTS: Final = 50
+_INTERVAL_S: Final = 0.1
+"""Each of the fifty asks ten times a second."""
+_LONGEST_ANSWER: Final = 1 << 20
+_BEYOND: Final = 1e8
+"""A set-point beyond any limit: it is refused, and the measured axis stays on its way."""
+
+_Streams = tuple[asyncio.StreamReader, asyncio.StreamWriter]
+
+
+async def never_reading_watcher(path: Path) -> None:
+    """Ask for a snapshot on every tick, and read none of them."""
+    async with _connected(path) as (_, writer):
+        writer.transport.pause_reading()  # type: ignore[attr-defined]
+        _ask(writer, op="watch", every=1)
+        print("ready", flush=True)
+        await asyncio.Event().wait()
+
+
+async def flooding_client(path: Path) -> None:
+    """Ask for the status as quickly as the socket takes it, and read what comes."""
+    async with _connected(path) as (reader, writer), asyncio.TaskGroup() as group:
+        reading = group.create_task(_read_all(reader))
+        print("ready", flush=True)
+        while not reading.done():
+            for _ in range(20):
+                _ask(writer, op="status")
+            await writer.drain()
+            await asyncio.sleep(0)
+
+
+async def fifty_clients(path: Path) -> None:
+    """Fifty operators at once: some watch, some ask for the status, some ask for what is refused."""
+    kinds: tuple[dict[str, Any], ...] = ({"op": "status"}, {"op": "move", "position": _BEYOND}, {"op": "recording"})
+    async with contextlib.AsyncExitStack() as stack, asyncio.TaskGroup() as group:
+        streams = [await stack.enter_async_context(_connected(path)) for _ in range(_CLIENTS)]
+        for number, (reader, writer) in enumerate(streams):
+            group.create_task(_read_all(reader))
+            if number % 5 == 0:
+                _ask(writer, op="watch", every=10)
+            else:
+                request = kinds[2] if number == 1 else kinds[number % 2]
+                group.create_task(_keep_asking(writer, request, _INTERVAL_S * number / _CLIENTS))
+        print("ready", flush=True)
+
+
+async def _keep_asking(writer: asyncio.StreamWriter, request: dict[str, Any], begin_s: float) -> None:
+    await asyncio.sleep(begin_s)
+    while True:
+        _ask(writer, **request)
+        await asyncio.sleep(_INTERVAL_S)
+
+
+@contextlib.asynccontextmanager
+async def _connected(path: Path) -> AsyncIterator[_Streams]:
+    reader, writer = await asyncio.open_unix_connection(path, limit=_LONGEST_ANSWER)
+    try:
+        yield reader, writer
+    finally:
+        writer.transport.abort()
+
+
+def _ask(writer: asyncio.StreamWriter, **request: Any) -> None:
+    writer.write(json.dumps(request).encode("ascii") + b"\n")
+
+
+async def _read_all(reader: asyncio.StreamReader) -> None:
+    while await reader.read(1 << 16):
+        pass
+
+
+KINDS: Final[dict[str, Callable[[Path], Awaitable[None]]]] = {
+    "never_reading_watcher": never_reading_watcher,
+    "flooding_client": flooding_client,
+    "fifty_clients": fifty_clients,
+}
+
+
+def main() -> None:
+    """Make work until the process is ended."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("kind", choices=sorted(KINDS))
+    parser.add_argument("--socket", type=Path, required=True)
+    options = parser.parse_args()
+
+    async def run() -> None:
+        await KINDS[options.kind](options.socket)
+
+    asyncio.run(run())
+
+
+if __name__ == "__main__":
+    main()
