@@ -155,6 +155,28 @@ async def test_a_client_gets_no_frames_before_rawmode() -> None:
         writer.transport.abort()
 
 
+def test_no_frame_is_read_with_the_last_answer_and_none_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    @on_a_loop
+    async def script() -> None:
+        async with running_hub() as hub, raw_client(hub) as (_, sender), raw_client(hub) as (listener, _):
+            for node in hub._nodes:
+                node._catch_up()
+            monkeypatch.setattr("twostage_servo.canbus.hub._SETTLING_S", 1e6)
+            reader, writer = await asyncio.open_connection(hub.host, hub.port)
+            writer.write(b"< open can0 >< rawmode >")
+            assert await reader.readexactly(18) == b"< hi >< ok >< ok >"
+            sender.write(b"< send 201 1 11 >< send 201 1 12 >")
+            for _ in range(2):
+                await listener.readuntil(b">")  # the hub has passed them on to who joined before
+            (node,) = (node for node in hub._nodes if node._early is not None)
+            assert len(node._early or []) == 2
+            node._catch_up()
+            assert [(await reader.readuntil(b">")).split()[-2] for _ in range(2)] == [b"11", b"12"]
+            writer.transport.abort()
+
+    script()
+
+
 @pytest.mark.parametrize(
     "nonsense",
     [

@@ -19,6 +19,9 @@ from typing import Final
 _log = logging.getLogger(__name__)
 
 _LONGEST_TOKEN: Final = 100
+_SETTLING_S: Final = 0.05
+"""From the last answer of the greeting to the first frame: python-can takes the answer only if nothing follows in the
+same read. What comes meanwhile is kept for so long."""
 _LARGEST_BACKLOG_BYTES: Final = 65536
 """In the hub and again in the kernel: about 1500 frames each, a second of a busy bus that a client has not read."""
 
@@ -89,6 +92,7 @@ class _Node(asyncio.Protocol):
         self._received = bytearray()
         self._channel: str | None = None
         self._is_raw = False
+        self._early: list[bytes] | None = None  # frames that wait until the greeting has been read
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)  # noqa: S101 - what create_server hands over; for the type checker
@@ -131,10 +135,23 @@ class _Node(asyncio.Protocol):
             case ["<", "rawmode", ">"] if self._channel is not None:
                 self._is_raw = True
                 self.transport.write(b"< ok >")
+                self._early = []
+                self._loop.call_later(_SETTLING_S, self._catch_up)
             case ["<", "send", identifier, length, *data, ">"] if self._is_raw:
                 self._send(identifier, length, data)
             case _:
                 raise ValueError(f"unexpected {' '.join(words)[:40]!r}".replace(">", ")").replace("<", "("))
+
+    def _catch_up(self) -> None:
+        early, self._early = self._early or [], None
+        if early and self._is_raw and not self.transport.is_closing():
+            self.transport.write(b"".join(early))
+
+    def _hear(self, frame: bytes) -> None:
+        if self._early is None:
+            self.transport.write(frame)
+        else:
+            self._early.append(frame)
 
     def _send(self, identifier: str, length: str, data: list[str]) -> None:
         number, payload = int(identifier, 16), bytes(int(byte, 16) for byte in data)
@@ -148,4 +165,4 @@ class _Node(asyncio.Protocol):
         )
         for node in tuple(self._nodes):
             if node is not self and node._is_raw and node._channel == self._channel:  # noqa: SLF001
-                node.transport.write(frame)
+                node._hear(frame)  # noqa: SLF001
