@@ -262,6 +262,40 @@ def test_stop_ends_a_wait_with_a_margin_before_it_spins() -> None:
     assert ended_s == 2.5
 
 
+def test_a_body_that_takes_a_while_to_begin_begins_at_its_deadline_after_some_ticks() -> None:
+    """From the end of the spin to the body it takes 4 µs, now and then a millisecond."""
+    begun_s: list[float] = []
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, HostLoop)
+        ticks = Ticks(PERIOD_S, margin=ToldMargin(300e-6))
+        async for tick in ticks:
+            loop.work(1e-3 if tick.index % 50 == 0 else 4e-6)
+            begun_s.append(ticks.begin(tick) - tick.deadline_s)
+            assert tick.lateness_s == max(0.0, begun_s[-1])
+            if tick.index == 400:
+                ticks.stop()
+
+    with asyncio.Runner(loop_factory=HostLoop) as runner:
+        runner.run(main())
+    assert begun_s[0] == pytest.approx(4.2e-6, abs=0.4e-6)
+    settled = [one for one in begun_s[200:] if one < 0.5e-3]
+    assert len(settled) == len(begun_s[200:]) - 4
+    assert max(map(abs, settled)) < 0.4e-6
+
+
+def test_without_a_margin_no_tick_begins_early() -> None:
+    async def main() -> None:
+        ticks = Ticks(PERIOD_S)
+        async for tick in ticks:
+            assert ticks.begin(tick) == tick.deadline_s
+            if tick.index == 100:
+                ticks.stop()
+
+    run(main())
+
+
 def test_the_current_margin_is_told() -> None:
     ticks = Ticks(PERIOD_S)
     assert ticks.margin_s == 0.0

@@ -39,8 +39,7 @@ def measure(plan: Plan, priority: int, note: Callable[[str], None]) -> tuple[dic
     figures = {name: summarise(values) for name, values in samples.items()}
     if histograms:
         figures["cyclictest"] = _merged(histograms)
-    order = ("ours", "ours_as_stamped", *CONTENDERS[1:])
-    return {name: figures[name] for name in order if name in figures}, not_measured
+    return {name: figures[name] for name in CONTENDERS if name in figures}, not_measured
 
 
 def _cyclictest(seconds: float, priority: int) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from bench.plan import PERIOD_S
+from twostage_servo.host.wake_margin import wake_margin
 from twostage_servo.ticks import Ticks, real_time_loop
 
 Lateness = dict[str, list[float]]
@@ -22,39 +23,28 @@ _WARM_UP: Final = 20
 
 
 def punctual_ticks(period_s: float) -> Ticks:
-    """Return the service's ticks as it uses them in real time.
-
-    THIS IS THE PLACE where the early wake-up with its spin is chosen: the service's own default, once there is one.
-    """
-    try:
-        policies = importlib.import_module("twostage_servo.host.wake_margin")
-    except ModuleNotFoundError:
-        return Ticks(period_s)
-    make: Callable[..., Ticks] = Ticks
-    return make(period_s, margin=policies.wake_margin("auto", period_s))
+    """Return the service's ticks as it uses them in real time, unless it is told otherwise."""
+    return Ticks(period_s, margin=wake_margin("auto", period_s))
 
 
 def ours(passes: int) -> Lateness:
-    """Run the service's own ticks on its own event loop; a skipped deadline counts as one that was met late.
+    """Run the service's own ticks on its own event loop.
 
-    ``ours_as_stamped`` is the tick's own stamp, made at the wake-up as cyclictest makes its own.
+    A skipped deadline counts as one that was met late, and a pass that begins early as one that is late by as much.
     """
-    at_start: list[float] = []
-    as_stamped: list[float] = []
+    lateness: list[float] = []
 
     async def main() -> None:
-        clock = asyncio.get_running_loop().time
-        async for tick in punctual_ticks(PERIOD_S):
-            now_s = clock()
-            missed_s = tick.missed * PERIOD_S
-            at_start.append(1e6 * (now_s - tick.deadline_s + missed_s))
-            as_stamped.append(1e6 * (tick.lateness_s + missed_s))
-            if len(at_start) >= passes:
+        ticks = punctual_ticks(PERIOD_S)
+        async for tick in ticks:
+            now_s = ticks.begin(tick)
+            lateness.append(1e6 * (abs(now_s - tick.deadline_s) + tick.missed * PERIOD_S))
+            if len(lateness) >= passes:
                 break
 
     with asyncio.Runner(loop_factory=real_time_loop) as runner:
         runner.run(main())
-    return {"ours": at_start, "ours_as_stamped": as_stamped}
+    return {"ours": lateness}
 
 
 def asyncio_sleep(passes: int) -> Lateness:

@@ -105,8 +105,8 @@ class ServoService:
         try:
             async for tick in self.ticks:
                 tick_index = tick.index
+                begun_s = read_s = updated_s = held_s = written_s = self.ticks.begin(tick)
                 self.statistics.begin(tick.lateness_s, tick.missed)
-                begun_s = read_s = updated_s = held_s = written_s = now_s()
                 try:
                     self.read(tick)
                     read_s = now_s()
