@@ -122,6 +122,7 @@ async def measure(
     last = max(1, round(seconds / ticks.period_s))
     begun_s = cpu_time()
     async for tick in ticks:
+        ticks.begin(tick)
         result.lateness_s.append(tick.lateness_s)
         result.missed += tick.missed
         result.most_missed = max(result.most_missed, tick.missed)
