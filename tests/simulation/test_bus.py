@@ -80,6 +80,28 @@ def test_each_receiver_has_a_frame_of_its_own(rig: Rig) -> None:
     assert (received[1].data[0], sent.data[0], sent.timestamp) == (1, 1, 0.0)
 
 
+def test_a_frame_arrives_as_it_was_sent_whatever_its_sender_does_with_it_afterwards(rig: Rig) -> None:
+    sent = frame(1)
+    rig.a.send(sent)
+    rig.wire.node("b").inject(sent)
+    sent.data[0] = 99
+    rig.clock.now_s += 0.5
+    assert rig.received(rig.b) == [(1, 5.0), (1, 5.0)]
+    assert rig.received(rig.c) == [(1, 5.0)]
+
+
+def test_a_disturbance_may_change_one_message_between_its_deliveries(rig: Rig) -> None:
+    def disturb(_: str, message: can.Message, __: float) -> Iterable[tuple[float, can.Message]]:
+        yield 0.0, message
+        message.data[0] += 1
+        yield 0.25, message
+
+    rig.wire.disturb = disturb
+    rig.send(1)
+    rig.clock.now_s += 0.25
+    assert rig.received(rig.b) == rig.received(rig.c) == [(1, 5.0), (2, 5.25)]
+
+
 @pytest.mark.parametrize("timeout", [None, 0.1])
 def test_it_never_waits(rig: Rig, timeout: float | None) -> None:
     with pytest.raises(ValueError, match=r"use recv\(0\)"):

@@ -61,13 +61,17 @@ class Wire:
         return WireBus(self, name)
 
     def transmit(self, sender: str, message: can.Message) -> None:
-        """Bring a frame to all nodes but its sender, as the disturbance wills."""
+        """Bring a frame to all nodes but its sender, as the disturbance wills.
+
+        Each of them makes its own copy when it receives it: listening nodes cost the sender next to nothing.
+        """
         now_s = self.clock()
         arrivals = [(0.0, message)] if self.disturb is None else self.disturb(sender, _copy(message), now_s)
-        for delay_s, arriving in arrivals:
+        for delay_s, frame in arrivals:
+            arriving = _arriving(frame, now_s + delay_s)
             for name, node in self._nodes.items():
                 if name != sender:
-                    node.enqueue(arriving, now_s + delay_s)
+                    node.enqueue(arriving)
 
 
 class WireNode:
@@ -105,25 +109,22 @@ class WireNode:
 
     def inject(self, message: can.Message) -> None:
         """Let a frame of any kind arrive at this node alone, now: an error frame, a foreign command, babble."""
-        self.enqueue(message, self._wire.clock())
+        self.enqueue(_arriving(message, self._wire.clock()))
 
-    def enqueue(self, message: can.Message, arrival_s: float) -> None:
-        """Let a copy of a frame arrive at a time, which is its time stamp; it is lost when nobody can take it."""
+    def enqueue(self, arriving: can.Message) -> None:
+        """Let a frame, which other nodes may share, arrive at the time of its stamp; lost when nobody can take it."""
         if self._down or not self.is_attached:
             return
-        arriving = _copy(message)
-        arriving.timestamp = arrival_s
-        arriving.is_rx = True
         self._frames_queued += 1
-        heapq.heappush(self._queue, (arrival_s, self._frames_queued, arriving))
+        heapq.heappush(self._queue, (arriving.timestamp, self._frames_queued, arriving))
         if len(self._queue) > _QUEUE_LENGTH:
             heapq.heappop(self._queue)
             self.dropped += 1
 
     def next_arrived(self) -> can.Message | None:
-        """Take the frame that arrived first; None when none has arrived."""
+        """Take a copy of the frame that arrived first; None when none has arrived."""
         if self._queue and self._queue[0][0] <= self._wire.clock() + _ROUNDING_S:
-            return heapq.heappop(self._queue)[2]
+            return _copy(heapq.heappop(self._queue)[2])
         return None
 
     def attached(self, is_attached: bool) -> None:
@@ -180,6 +181,14 @@ class WireBus(can.BusABC):
         if not self._is_shutdown:
             self._node.attached(False)
         super().shutdown()
+
+
+def _arriving(message: can.Message, arrival_s: float) -> can.Message:
+    """Return a frame as it arrives at a time, which is its time stamp."""
+    arriving = _copy(message)
+    arriving.timestamp = arrival_s
+    arriving.is_rx = True
+    return arriving
 
 
 def _copy(message: can.Message) -> can.Message:
