@@ -19,6 +19,7 @@ from twostage_servo.canbus.profile import (
     Heartbeat,
     Identifier,
     Index,
+    PositionRejected,
     ProtocolError,
     ProtocolSettings,
 )
@@ -287,6 +288,24 @@ def test_the_reserved_position_is_rejected(identifier: int) -> None:
     with pytest.raises(FrameRejected, match="raw value -2147483648 is outside") as caught:
         decode(message_of(covered + bytes((crc8_j1850(identifier, covered),)), identifier))
     assert caught.value.reason == "reserved_value"
+
+
+@pytest.mark.parametrize(("fault_code", "kind"), [(250, PositionRejected), (251, FrameRejected)])
+def test_a_frame_without_a_position_is_heard_only_if_the_rest_of_it_makes_sense(
+    folder: Path, fault_code: int, kind: type[FrameRejected]
+) -> None:
+    text = DBC.read_text(encoding="cp1252").replace(
+        "FaultCode : 40|8@1+ (1,0) [0|255]", "FaultCode : 40|8@1+ (1,0) [0|250]"
+    )
+    (folder / "limited.dbc").write_text(text, encoding="cp1252")
+    profile = DriveProfile.compile(shipped_settings(dbc="limited.dbc"), folder, "mm")
+    covered = bytes.fromhex("0000008002") + bytes((fault_code, 0))
+    with pytest.raises(FrameRejected) as caught:
+        profile.decode_feedback(message_of(covered + bytes((crc8_j1850(0x181, covered),))))
+    assert (type(caught.value), caught.value.reason) == (kind, "reserved_value")
+    if isinstance(caught.value, PositionRejected):
+        heard = caught.value.feedback
+        assert (math.isnan(heard.position), heard.fault, heard.fault_code) == (True, True, fault_code)
 
 
 @given(

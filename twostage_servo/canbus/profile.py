@@ -267,9 +267,15 @@ class DriveProfile:
         position, counter, enabled, fault, fault_code, timeout, torque_off, positive, negative, home = (
             self._feedback_decoders
         )
+        lost: UndecodableValue | None = None
+        try:
+            place = position(word)
+            _check_position(place)
+        except UndecodableValue as error:
+            place, lost = math.nan, error
         try:
             feedback = Feedback(
-                math.nan,
+                place,
                 counter(word),
                 enabled(word),
                 fault(word),
@@ -282,12 +288,9 @@ class DriveProfile:
             )
         except UndecodableValue as error:
             raise FrameRejected(error.reason, message, str(error)) from error
-        try:
-            place = position(word)
-            _check_position(place)
-        except UndecodableValue as error:
-            raise PositionRejected(error.reason, message, str(error), feedback) from error
-        return feedback._replace(position=place)
+        if lost is not None:
+            raise PositionRejected(lost.reason, message, str(lost), feedback) from lost
+        return feedback
 
     def encode_index(self, index: Index) -> bytes:
         """Make the data of an index message, as the drive does. None counts as 0, NaN as an invalid position.
