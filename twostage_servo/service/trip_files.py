@@ -7,7 +7,7 @@ import json
 import os
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ _ABANDONED_S = 60.0
 """Age at which an unfinished file is nobody's any more."""
 
 Document = dict[str, Any]
-Records = tuple[tuple[Any, ...], ...]
+Records = Sequence[Sequence[Any]]
 
 KEPT = 50
 """Files kept in the folder; the oldest goes."""
