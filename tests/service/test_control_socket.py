@@ -141,6 +141,28 @@ def test_a_watcher_that_never_reads_is_bounded_and_delays_nothing(path: Path) ->
     serve(path, script)
 
 
+def test_of_many_that_connect_at_once_one_is_let_in_between_two_looks_at_the_clock(path: Path) -> None:
+    async def script(world: World, control: ControlSocket) -> None:
+        callers = [socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) for _ in range(20)]
+        try:
+            for caller in callers:
+                caller.setblocking(False)
+                caller.connect(str(path))  # would raise if the kernel did not keep them all waiting
+            let_in = [0]
+            for _ in range(60):
+                await asyncio.sleep(0)
+                let_in.append(len(control._clients))
+            assert max(after - before for before, after in itertools.pairwise(let_in)) == 1
+            assert let_in[-1] == 20
+        finally:
+            for caller in callers:
+                caller.close()
+        await world.seconds(0.01)
+        assert not control._clients
+
+    serve(path, script)
+
+
 def test_more_clients_than_the_limit_are_told_so(path: Path) -> None:
     async def script(_: World, __: ControlSocket) -> None:
         clients = [await connect(path) for _ in range(64)]
