@@ -1,12 +1,10 @@
 """The bus and the listener of the frame measurements: ``python -m bench.bus_side hub``, and ``... listen``.
 
-The hub is the package's own, on the loopback address. The listener is a socketcand client of its own that blocks in
-``recv`` and stamps what it gets with the monotonic clock. Both get a real-time priority if that is permitted, so that
-what is measured is the sender.
+The hub lets the kernel stamp the frames, on the loopback address. The listener is a socketcand client that goes by
+those stamps. Both get a real-time priority if that is permitted, so that what is measured is the sender.
 """
 
 import argparse
-import asyncio
 import itertools
 import json
 import socket
@@ -14,13 +12,11 @@ import sys
 import time
 from typing import Final
 
-from bench.plan import PERIOD_S
+from bench.plan import HOST, PERIOD_S
 from bench.scheduling import run_at
-from twostage_servo.canbus.hub import Hub
-from twostage_servo.ticks import real_time_loop
+from bench.stamping_hub import StampingHub
 
 PRIORITY: Final = 60
-HOST: Final = "127.0.0.1"
 CHANNEL: Final = "can0"
 _SETTLING_S: Final = 0.2
 _LONGEST_SILENCE_S: Final = 15.0
@@ -28,15 +24,9 @@ _LONGEST_SILENCE_S: Final = 15.0
 
 def serve() -> None:
     """Serve the bus until the process is ended; the first line that is printed tells the port."""
-
-    async def main() -> None:
-        hub = Hub(HOST, 0)
-        await hub.start()
-        print(json.dumps({"port": hub.port, "real_time": run_at(PRIORITY)}), flush=True)
-        await asyncio.Event().wait()
-
-    with asyncio.Runner(loop_factory=real_time_loop) as runner:
-        runner.run(main())
+    hub = StampingHub()
+    print(json.dumps({"port": hub.port, "real_time": run_at(PRIORITY)}), flush=True)
+    hub.serve()
 
 
 def listen(port: int, identifier: int, seconds: float) -> None:
@@ -56,20 +46,21 @@ def listen(port: int, identifier: int, seconds: float) -> None:
 
 
 def _arrivals(bus: socket.socket, wanted: bytes, seconds: float) -> list[int]:
-    """Stamp the wanted frames, in ns, from a moment after the first one on."""
+    """Return the stamps of the wanted frames, in ns, from a moment after the first one on."""
     arrivals: list[int] = []
     rest = b""
     begin_ns = end_ns = 0
     last_ns = time.monotonic_ns() + round(1e9 * (seconds + _LONGEST_SILENCE_S))
     while not end_ns or not arrivals or arrivals[-1] < end_ns:
         data = bus.recv(4096)
-        now_ns = time.monotonic_ns()
-        if not data or now_ns > last_ns:
+        if not data or time.monotonic_ns() > last_ns:
             sys.exit("the listener did not hear enough of the frames that it was to listen to")
         *tokens, rest = (rest + data).split(b">")
         for token in tokens:
             if not token.lstrip().startswith(wanted):
                 continue
+            seconds_text, decimals = token.split()[3].split(b".")
+            now_ns = int(seconds_text) * 10**9 + int(decimals)
             if not end_ns:
                 begin_ns = now_ns + round(1e9 * _SETTLING_S)
                 end_ns = begin_ns + round(1e9 * seconds)

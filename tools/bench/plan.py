@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Final
 
 PERIOD_S: Final = 0.01
+HOST: Final = "127.0.0.1"
 
 PATIENT: Final = (
     "axis.limits.stale_feedback_ms=3000", "axis.limits.heartbeat_ms=3000", "axis.limits.missed_ticks=300",
