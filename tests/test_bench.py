@@ -85,9 +85,11 @@ def test_lateness_comes_from_the_recording_and_a_missed_deadline_is_met_late() -
 def test_clients_make_work_until_they_are_ended(kind: str, tmp_path: Path) -> None:
     """In simulated time, against a server that answers each line."""
     asked: list[bytes] = []
+    connections: list[object] = []
 
     async def main() -> None:
         async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            connections.append(writer)
             with contextlib.closing(writer):
                 while line := await reader.readline():
                     asked.append(line)
@@ -97,15 +99,16 @@ def test_clients_make_work_until_they_are_ended(kind: str, tmp_path: Path) -> No
         load = asyncio.ensure_future(client_load.KINDS[kind](tmp_path / "s"))
         # A flood leaves the simulated clock no idle moment to go on in, so passes of the loop are counted.
         for _ in range(200):
-            await asyncio.sleep(0.0 if kind == "flooding_client" else 0.01)
+            await asyncio.sleep(0.0 if kind in {"flooding_client", "connecting_client"} else 0.01)
         load.cancel()
         await asyncio.gather(load, return_exceptions=True)
         server.close()
         await asyncio.sleep(0.01)
 
     simulate(main())
-    wanted = {"never_reading_watcher": 1, "flooding_client": 100, "fifty_clients": 300}
+    wanted = {"never_reading_watcher": 1, "flooding_client": 100, "fifty_clients": 300, "connecting_client": 0}
     assert len(asked) >= wanted[kind]
+    assert len(connections) >= {"fifty_clients": 50, "connecting_client": 20}.get(kind, 1)
     assert all(json.loads(line)["op"] in {"watch", "status", "move", "recording"} for line in asked)
 
 

@@ -112,15 +112,35 @@ def test_one_is_served_after_each_tick_however_late_it_is() -> None:
     on_host(script)
 
 
-def test_the_urgent_go_first_and_none_waits_for_more_than_a_tick() -> None:
+def test_the_urgent_go_first_and_may_use_all_of_the_time() -> None:
     async def script(desk: Desk) -> None:
         for name in "abcdef":
-            desk.ask(name, 2e-3)
+            desk.ask(name, 1e-3)
         for name in "XYZ":
             desk.ask(name, 2e-3, urgent=True)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() - 1.0)
+        await desk.tick(desk.loop.time() + PERIOD_S)
         assert desk.names == "XYZa"
+        desk.ask("U", 1e-3, urgent=True)
+        await asyncio.sleep(0)
+        assert desk.names == "XYZaU"
+
+    on_host(script)
+
+
+def test_a_flood_of_the_urgent_holds_up_no_tick_and_shuts_nobody_out() -> None:
+    async def script(desk: Desk) -> None:
+        for name in "ab":
+            desk.ask(name, 0.5e-3)
+        for name in "TUVWXYZ":
+            desk.ask(name, 1.8e-3, urgent=True)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() - 1.0)
+        assert desk.names == "Ta"
+        ends_s = desk.loop.time() + PERIOD_S
+        await desk.tick(ends_s)
+        assert desk.names == "TaUVWXYb"
+        assert desk.loop.time() < ends_s
 
     on_host(script)
 

@@ -42,6 +42,14 @@ async def flooding_client(path: Path) -> None:
             await asyncio.sleep(0)
 
 
+async def connecting_client(path: Path) -> None:
+    """Connect and leave, as quickly as the service lets one in."""
+    print("ready", flush=True)
+    while True:
+        async with _connected(path):
+            await asyncio.sleep(0)
+
+
 async def fifty_clients(path: Path) -> None:
     """Fifty operators at once: some watch, some ask for the status, some ask for what is refused."""
     kinds: tuple[dict[str, Any], ...] = ({"op": "status"}, {"op": "move", "position": _BEYOND}, {"op": "recording"})
@@ -85,6 +93,7 @@ async def _read_all(reader: asyncio.StreamReader) -> None:
 KINDS: Final[dict[str, Callable[[Path], Awaitable[None]]]] = {
     "never_reading_watcher": never_reading_watcher,
     "flooding_client": flooding_client,
+    "connecting_client": connecting_client,
     "fifty_clients": fifty_clients,
 }
 

@@ -70,6 +70,7 @@ def _lateness_us(service: Service, before: dict[str, Any], period_s: float) -> l
     recording = service.ask(op="recording")
     tick, missed, lateness = (recording["fields"].index(name) for name in ("tick", "missed", "lateness_us"))
     since = before["count"] + before["missed"]
-    return [
-        record[lateness] + 1e6 * period_s * record[missed] for record in recording["records"] if record[tick] > since
-    ]
+    records = [record for record in recording["records"] if record[tick] > since]
+    if not records:  # what was recorded before a trip is kept
+        raise ChildError("the axis has tripped")
+    return [record[lateness] + 1e6 * period_s * record[missed] for record in records]

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from typing import Final
 
 _SHARE: Final = 0.3
@@ -19,7 +19,8 @@ class Turns:
 
     Between a tick and the next one turns may take 0.3 of a period in all, and none begins so late that it could last
     into the moment at which the loop has to wait for the deadline. At least one is given after each tick, however
-    little time there is. Urgent ones go before the others, and none of them waits for more than the end of a tick.
+    little time there is. Urgent ones go before the others, one of them after each tick at least as well, and they may
+    use all of the time that there is.
 
     Parameters
     ----------
@@ -33,17 +34,18 @@ class Turns:
         self._longest_s = 0.0
         self._until_s = 0.0
         self._left_s = 0.0
+        self._called = False  # somebody has been given a turn and is not done with it
         self._ended = False
-        self._waiting: deque[asyncio.Future[None]] = deque()
         self._urgent: deque[asyncio.Future[None]] = deque()
+        self._waiting: deque[asyncio.Future[None]] = deque()
+        self._owed: set[int] = set()  # queues of which one is served before the next tick, in time or not
 
     def open(self, until_s: float) -> None:
         """Begin to hand out turns after a tick; the loop has to be free from `until_s` on, on its clock in s."""
         self._until_s = until_s - self._longest_s
         self._left_s = self._share_s
-        while _wake_first(self._urgent):
-            pass
-        _wake_first(self._waiting)
+        self._owed = {id(self._urgent), id(self._waiting)}
+        self._call_next()
 
     def end(self) -> None:
         """Give everybody a turn from now on: there are no more ticks."""
@@ -55,29 +57,9 @@ class Turns:
     @contextlib.asynccontextmanager
     async def turn(self, *, urgent: bool = False) -> AsyncIterator[None]:
         """Wait for a turn; the block is the turn, and must not wait for anything."""
-        if not self._is_free(urgent=urgent):
-            await self._queue(self._urgent if urgent else self._waiting)
-        with self._timed():
-            yield
-
-    def _is_free(self, *, urgent: bool) -> bool:
-        return self._ended or (self._has_time() and (urgent or not self._waiting))
-
-    def _has_time(self) -> bool:
-        return self._left_s > 0.0 and asyncio.get_running_loop().time() < self._until_s
-
-    async def _queue(self, queue: "deque[asyncio.Future[None]]") -> None:
-        mine = asyncio.get_running_loop().create_future()
-        queue.append(mine)
-        try:
-            await mine
-        except asyncio.CancelledError:
-            if mine.done() and not mine.cancelled():  # it was given and is not used: the next one shall have it
-                self._pass_on()
-            raise
-
-    @contextlib.contextmanager
-    def _timed(self) -> Iterator[None]:
+        queue = self._urgent if urgent else self._waiting
+        if not self._ended and (queue or self._called or not self._has_time(queue)):
+            await self._stand_in(queue)
         clock = asyncio.get_running_loop().time
         begun_s = clock()
         try:
@@ -86,11 +68,29 @@ class Turns:
             taken_s = clock() - begun_s
             self._left_s -= taken_s
             self._longest_s = min(max(taken_s, _FORGETTING * self._longest_s), self._largest_s)
-            self._pass_on()
+            self._owed.discard(id(queue))
+            self._called = False
+            self._call_next()
 
-    def _pass_on(self) -> None:
-        if self._has_time():
-            _wake_first(self._waiting)
+    async def _stand_in(self, queue: "deque[asyncio.Future[None]]") -> None:
+        mine = asyncio.get_running_loop().create_future()
+        queue.append(mine)
+        try:
+            await mine
+        except asyncio.CancelledError:
+            if mine.done() and not mine.cancelled():  # it was given and is not used: the next one shall have it
+                self._called = False
+                self._call_next()
+            raise
+
+    def _has_time(self, queue: "deque[asyncio.Future[None]]") -> bool:
+        has_share = queue is self._urgent or self._left_s > 0.0
+        return has_share and asyncio.get_running_loop().time() < self._until_s
+
+    def _call_next(self) -> None:
+        for queue in (self._urgent, self._waiting):
+            if not self._called and (self._has_time(queue) or id(queue) in self._owed):
+                self._called = _wake_first(queue)
 
 
 def _wake_first(queue: "deque[asyncio.Future[None]]") -> bool:
