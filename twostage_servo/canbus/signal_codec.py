@@ -13,6 +13,8 @@ from typing import Any, Final
 
 from cantools.database.can import Signal
 
+_LARGEST: Final = 1e9
+"""Of a scale or an offset: the largest position that an axis may have. What is beyond it is a slip of the DBC."""
 _FLOAT_FORMATS: Final = {16: "<e", 32: "<f", 64: "<d"}
 _LARGEST_FLOATS: Final = {16: 65504.0, 32: (2.0 - 2.0**-23) * 2.0**127, 64: (2.0 - 2.0**-52) * 2.0**1023}
 
@@ -205,10 +207,10 @@ def _exact(number: float) -> float:
 
 def _raw_range(signal: Signal, where: str) -> tuple[float, float]:
     """Smallest and largest raw value: what the bits hold, within the limits of the DBC (as fractions, hence exact)."""
-    if not signal.scale or not math.isfinite(signal.scale) or not math.isfinite(signal.offset):
+    if not 0.0 < abs(signal.scale) <= _LARGEST or not abs(signal.offset) <= _LARGEST:
         raise ValueError(
-            f"{where}: scale {signal.scale} and offset {signal.offset} must be finite and the scale not 0. "
-            "Correct the DBC."
+            f"{where}: scale {signal.scale:g} and offset {signal.offset:g} must be finite, of magnitude {_LARGEST:g} at"
+            " most, and the scale not 0. Correct the DBC."
         )
     scale, offset = Fraction(str(signal.scale)), Fraction(str(signal.offset))
     limits = [
