@@ -356,3 +356,28 @@ def test_rounds_are_counted_on_from_the_last_position_or_the_estimate_also_befor
     drive.begin_tick(0, expected=720.0)
     drive.take(Feedback(5.0))
     assert drive.position == pytest.approx(705.0)
+
+
+@pytest.mark.parametrize("name", ["safe_torque_off", "positive_limit", "negative_limit", "home_switch"])
+@pytest.mark.parametrize(
+    ("frames", "seen_as"),
+    [
+        ([True, False], True),
+        ([False, True], True),
+        ([False, False], False),
+        ([True, None], True),
+        ([None, True], True),
+        ([None, None], None),
+    ],
+)
+def test_an_input_that_one_frame_of_a_tick_shows_is_active_for_that_tick(
+    name: str, frames: list[bool | None], seen_as: bool | None
+) -> None:
+    drive = report()
+    drive.begin_tick(0)
+    for counter, active in enumerate(frames):
+        drive.take(Feedback(0.0, counter, enabled=True, **{name: active}))  # type: ignore[arg-type]
+    assert getattr(drive, name) is seen_as
+    drive.begin_tick(0)
+    drive.take(Feedback(0.0, 5, enabled=True, **{name: False}))
+    assert getattr(drive, name) is False
