@@ -291,7 +291,7 @@ class Link:
         bool
             False when the queue was full just now, or what was sent before the latest :meth:`drain` has not left yet:
             the frame is dropped and counted, not kept. Send a newer one in the next tick. So no more than the frames of
-            one tick ever wait in the kernel's queue, however long it is.
+            one tick ever wait in the kernel's queue, however long it is; beside those in the controller itself.
 
         Raises
         ------

@@ -59,9 +59,11 @@ class NetworkInterface:
             raise OSError(errno.EPROTONOSUPPORT, text)
 
     def is_sending(self) -> bool:
-        """Whether a frame that was sent through the socket still waits, in the interface's queue or its controller.
+        """Whether a frame that was sent through the socket still waits in the interface's queue; costs 1 us.
 
-        Costs 1 us. The kernel cannot be asked to give such a frame back.
+        One that the controller has taken and cannot put on the bus is not seen: SJA1000 and its like hold one. Nor are
+        those that a queue discipline has taken off the socket's account (netem does). The kernel cannot be asked to
+        give any of them back.
         """
         return self._memory()[_WMEM_ALLOC] > 0
 
