@@ -1,6 +1,6 @@
 """Boot a throw-away virtual machine with CAN and systemd, and run a command in it.
 
-`python tools/rig/run.py -- COMMAND...` works on Debian and Ubuntu, with or without KVM, as any user. The machine has
+`python tools/rig/run.py -- COMMAND...` is for Debian and Ubuntu on amd64. KVM is used where it works. The machine has
 two emulated Kvaser boards, can0 and can1, on one bus, and sees the host's files at their paths, without changing any.
 Exit code: the command's; 124 the time limit; 125 the rig itself failed.
 """
