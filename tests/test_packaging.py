@@ -148,4 +148,4 @@ def test_every_room_is_in_the_wheel() -> None:
         for folder in PACKAGE.rglob("__init__.py")
         if folder.parent != PACKAGE
     }
-    assert set(listed) == {"twostage_servo", "twostage_servo_config"} | rooms
+    assert set(listed) == {"twostage_servo", "twostage_servo_config", "twostage_servo_systemd"} | rooms

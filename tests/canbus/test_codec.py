@@ -293,9 +293,19 @@ def test_multiplexed_signals_are_refused() -> None:
             codec.quantity(name)
 
 
-def test_a_message_for_can_fd_is_refused() -> None:
-    with pytest.raises(ValueError, match="12 bytes need CAN FD"):
+def test_a_message_for_can_fd_is_refused_on_a_classic_bus() -> None:
+    with pytest.raises(ValueError, match=r"12 bytes need CAN FD.*set bus\.fd = true"):
         codec_of(signal(), length=12)
+
+
+def test_a_can_fd_message_has_a_length_that_there_is() -> None:
+    database = database_of(signal(), length=12)
+    codec = MessageCodec(database, "M", "test.dbc", fd=True)
+    word = int.from_bytes(bytes(range(12)), "little")
+    assert codec.data(word) == bytes(range(12))
+    assert codec.word(bytes(range(12))) == word
+    with pytest.raises(ValueError, match="no CAN FD frame has 13 bytes"):
+        MessageCodec(database_of(signal(), length=13), "M", "test.dbc", fd=True)
 
 
 @pytest.mark.parametrize(

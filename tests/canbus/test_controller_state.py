@@ -47,7 +47,29 @@ def test_the_latest_error_frame_gives_the_state(frames: list[can.Message], state
     link = link_that_gets(*frames, frame())
     assert len(link.drain()) == 1
     assert link.controller_state == state
-    assert link.counters.errors == len(frames)
+    assert link.counters.errors == sum(link.counters.errors_by_kind.values()) == len(frames)
+    link.close()
+
+
+def test_error_frames_are_counted_by_what_they_say() -> None:
+    frames = [error_frame(0x04), error_frame(0x20), error_frame(0x20), error_frame(0x40), error_frame(0x01)]
+    link = link_that_gets(*frames, error_frame(0x00, classes=0x100), error_frame(0x00, classes=0x08), frame())
+    link.drain()
+    assert link.counters.errors_by_kind == {"warning": 1, "passive": 2, "active": 1, "other": 2, "restarted": 1}
+    link.close()
+
+
+def test_the_controllers_error_counters_are_the_latest_that_an_error_frame_tells() -> None:
+    telling = can.Message(
+        arbitration_id=0x204, is_error_frame=True, is_extended_id=False, data=bytes((0, 0x20, 0, 0, 0, 0, 130, 96))
+    )
+    link = link_that_gets(telling, error_frame(0x20))  # the second has bytes 6 and 7, and does not say what they are
+    counters = [link.error_counters]
+    link.drain()
+    counters.append(link.error_counters)
+    link.close()
+    link.open()
+    assert [*counters, link.error_counters] == [None, (130, 96), None]
     link.close()
 
 
@@ -72,7 +94,7 @@ def test_bus_off_still_fails_the_link() -> None:
 def test_an_interface_with_other_error_frames_tells_no_state() -> None:
     link = link_that_gets(error_frame(0x20), error_frame(0x20, classes=0x44), interface="pcan")
     assert link.drain() == []
-    assert (link.controller_state, link.counters.errors) == ("active", 2)
+    assert (link.controller_state, link.counters.errors_by_kind) == ("active", {"other": 2})
     link.close()
 
 

@@ -242,6 +242,14 @@ def test_a_wrong_frame_is_rejected_with_its_reason_and_bytes(message: can.Messag
     assert f"[{message.data.hex(' ')}] rejected ({reason})" in str(caught.value)
 
 
+def test_on_a_can_fd_bus_a_classic_frame_is_the_wrong_one() -> None:
+    profile = DriveProfile.compile(ProtocolSettings(), Path(), "mm", fd=True)
+    assert profile.decode_feedback(message_of(GOOD, is_fd=True)).position == 12.5
+    with pytest.raises(FrameRejected, match="is a classic frame, a CAN FD frame is expected") as caught:
+        profile.decode_feedback(message_of(GOOD))
+    assert caught.value.reason == "fd"
+
+
 def test_effort_beyond_the_limits_of_the_dbc_is_a_reserved_value() -> None:
     covered = (32001).to_bytes(2, "little") + b"\x01"
     with pytest.raises(FrameRejected, match="raw value 32001 is outside -32000 to 32000") as caught:

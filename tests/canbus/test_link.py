@@ -129,7 +129,7 @@ def test_error_frames_are_counted_and_skipped(link: Link, peer: can.BusABC) -> N
     peer.send(frame())
     peer.send(frame(is_error_frame=True))
     assert len(link.drain()) == 1
-    assert link.counters == LinkCounters(received=1, errors=2)
+    assert link.counters == LinkCounters(received=1, errors=2, errors_by_kind={"other": 2})
 
 
 def test_bus_off_fails_the_link(opened_with: dict[str, Any]) -> None:
@@ -139,7 +139,7 @@ def test_bus_off_fails_the_link(opened_with: dict[str, Any]) -> None:
     link.open()
     with pytest.raises(LinkError, match="bus socketcan can0 went bus-off"):
         link.drain()
-    assert link.counters.errors == 2
+    assert link.counters.errors_by_kind == {"other": 1, "bus_off": 1}
     link.close()
 
 
@@ -210,7 +210,7 @@ def test_whatever_an_interface_raises_comes_out_as_link_error(error: Exception, 
     link = Link(BusSettings(interface="socketcan", channel="can0"), [FEEDBACK])
     link.open()
     with pytest.raises(
-        LinkError, match=r"bus socketcan can0 failed while sending: .+ip -details link show can0"
+        LinkError, match=r"bus socketcan can0 failed while sending: .+'ip (?:-details link show|link set|-brief link)"
     ) as sending:
         link.send(COMMAND, b"\1")
     assert sending.value.__cause__ is error
@@ -219,6 +219,23 @@ def test_whatever_an_interface_raises_comes_out_as_link_error(error: Exception, 
     assert receiving.value.__cause__ is error
     assert link.counters == LinkCounters()
     link.close()
+
+
+@pytest.mark.parametrize("switch", [False, True])
+def test_frames_are_can_fd_where_the_settings_say_so(channel: str, peer: can.BusABC, switch: bool) -> None:
+    link = Link(BusSettings(interface="virtual", channel=channel, fd=True, bit_rate_switch=switch), [FEEDBACK])
+    link.open()
+    assert link.send(COMMAND, bytes(12))
+    message = peer.recv(0)
+    assert message is not None
+    assert (message.is_fd, message.bitrate_switch, len(message.data)) == (True, switch, 12)
+    link.close()
+
+
+def test_can_fd_is_asked_of_socketcan(opened_with: dict[str, Any]) -> None:
+    Link(BusSettings(interface="socketcan", channel="can0", fd=True), [FEEDBACK]).open()
+    assert opened_with.pop("bus").applied_filters == [{"can_id": 0x181, "can_mask": 0x1FFFFFFF}]
+    assert opened_with["fd"] is True
 
 
 # Opening and closing --------------------------------------------------------------------------------------------------
@@ -290,7 +307,11 @@ def test_close_never_raises(opened_with: dict[str, Any], caplog: pytest.LogCaptu
     ("interface", "error", "text"),
     [
         ("slcan", OSError(errno.ENOENT, "No such file"), "Check cable, driver, and the table [bus]"),
-        ("socketcan", OSError(errno.ENODEV, "No such device"), "ip -details link show no_such_can9"),
+        ("socketcan", OSError(errno.ENODEV, "No such device"), "'ip link set no_such_can9 up type can bitrate ...'"),
+        ("socketcan", OSError(errno.ENETDOWN, "Network is down"), "Bring it up with 'ip link set no_such_can9 up"),
+        ("socketcan", OSError(errno.ENOLINK, "no carrier"), "'ip link set no_such_can9 type can restart'"),
+        ("socketcan", OSError(errno.EPROTONOSUPPORT, "classic only"), "dbitrate ... fd on"),
+        ("socketcan", OSError(errno.EPERM, "not permitted"), "ip -details link show no_such_can9"),
         ("socketcan", OSError(errno.EAFNOSUPPORT, "Address family not supported"), "modprobe can"),
     ],
 )
@@ -319,6 +340,10 @@ def test_a_bus_that_does_not_open_says_why_and_what_to_do(
         ({"max_frames_per_tick": 0}, "greater than or equal to 1"),
         ({"chanel": "can0"}, "Extra inputs"),
         ({"interface": "socketcn"}, "no such interface; did you mean socketcan"),
+        ({"options": {"fd": True}}, "fd cannot be set here"),
+        ({"bit_rate_switch": True}, "CAN FD frames only; set fd = true"),
+        ({"fd": True, "interface": "pcan"}, "fd is not possible on interface 'pcan'; it is on socketcan, virtual"),
+        ({"fd": True, "bitrate": 500_000}, "with fd = true, remove it"),
     ],
 )
 def test_settings_that_cannot_be_meant_are_refused(changes: dict[str, Any], text: str) -> None:

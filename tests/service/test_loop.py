@@ -153,12 +153,65 @@ def test_a_bus_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.MonkeyPat
         await world.seconds(0.5)
         assert world.service.snapshot()["bus"] == {
             "channel": "can0", "open": False, "error": "no such device", "drive_state": None, "controller": "active",
+            "error_counters": None,
         }  # fmt: skip
         with pytest.raises(Refused, match="no fresh feedback"):
             world.axis.arm()
         await world.seconds(4.0)
         assert len(attempts) == 4
         await world.armed()
+
+    simulate(script)
+
+
+def test_a_bus_that_opens_and_fails_at_once_is_not_opened_in_every_tick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a socket on an interface that is down: it opens, and its first read fails."""
+
+    async def script(world: World) -> None:
+        await world.armed()
+        link = world.station.port.link
+        opened_at: list[float] = []
+        open_link, now_s = link.open, asyncio.get_running_loop().time
+
+        def opened() -> None:
+            opened_at.append(now_s())
+            open_link()
+
+        monkeypatch.setattr(link, "open", opened)
+        world.wire.node("service").receive_error = OSError(100, "Network is down")
+        await world.seconds(5.0)
+        assert world.axis.trip is not None
+        assert world.axis.trip.code is TripCode.BUS_FAILED
+        assert len(opened_at) == 5
+        assert min(later - one for one, later in itertools.pairwise(opened_at)) > 0.98
+        world.wire.node("service").receive_error = None
+        await world.seconds(1.1)
+        assert world.station.port.error is None
+        assert world.state() is State.TRIPPED
+
+    simulate(script)
+
+
+def test_the_bus_is_looked_after_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An interface without a carrier takes every command and sends none; only asking shows it."""
+
+    async def script(world: World) -> None:
+        await world.armed()
+        link = world.station.port.link
+        looked: list[int] = []
+        monkeypatch.setattr(link, "check", lambda: looked.append(1))
+        await world.seconds(3.0)
+        assert len(looked) == 3
+        assert world.state() is State.HOLDING
+
+        def fail() -> None:
+            raise LinkError("bus socketcan can0 failed: there is no carrier")
+
+        monkeypatch.setattr(link, "check", fail)
+        await world.seconds(1.0)
+        assert world.axis.trip is not None
+        assert world.axis.trip.code is TripCode.BUS_FAILED
+        assert "no carrier" in world.axis.trip.cause
 
     simulate(script)
 

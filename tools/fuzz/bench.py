@@ -199,6 +199,7 @@ class Bench:
         settings = BusSettings(
             interface=interface, channel="made up", max_frames_per_tick=4096, reopen_interval_ms=20.0
         )
+        settings = settings.with_frames_of(drive.loaded.config.bus)
         self.service = service = build_service(drive.loaded, settings, lambda _: self.bus.reopen())
         self.station = station = service.station()
         self.period_s = service.ticks.period_s
@@ -281,8 +282,9 @@ class Bench:
 
     def message(self, name: str, data: bytes | bytearray) -> can.Message:
         """Return a frame of a kind, with these data."""
-        number, extended = self.kinds[name].identifier
-        return can.Message(self.bus.now_s, number, extended, data=data)
+        kind = self.kinds[name]
+        number, extended = kind.identifier
+        return can.Message(self.bus.now_s, number, extended, is_fd=kind.fd, data=data)
 
     def _message(self, name: str, **values: Any) -> can.Message:
         return self.message(name, self.kinds[name].of(**values))

@@ -52,6 +52,8 @@ class Kind:
         The signals that play a role, by the name of the record's field.
     largest
         Largest magnitude of a position that is believed, in the DBC's unit.
+    fd
+        Whether it is a CAN FD frame.
     """
 
     name: str
@@ -63,6 +65,7 @@ class Kind:
     checksum: tuple[str, int] | None
     signals: dict[str, str]
     largest: float
+    fd: bool
 
     def repaired(self, data: bytearray) -> bytearray:
         """Put the right checksum into data of the right length."""
@@ -147,7 +150,7 @@ class Drive:
             kinds[name] = Kind(
                 name, identifier, record, _packer(name, encode), decode, message, byte,
                 {role: signal for role, signal in roles.items() if isinstance(signal, str)},
-                LARGEST_POSITION / abs(scale),
+                LARGEST_POSITION / abs(scale), self.loaded.config.bus.fd,
             )  # fmt: skip
         return kinds
 

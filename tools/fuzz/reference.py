@@ -16,7 +16,7 @@ def refusal(kind: Kind, message: can.Message) -> str | None:
     if (
         message.is_error_frame
         or message.is_remote_frame
-        or message.is_fd
+        or message.is_fd != kind.fd
         or message.is_extended_id != extended
         or message.arbitration_id != number
         or len(message.data) != kind.message.length

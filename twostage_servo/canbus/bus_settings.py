@@ -9,8 +9,9 @@ from pydantic import Field, field_validator, model_validator
 from twostage_servo.settings import Settings, quantity
 
 _OWN_ARGUMENTS: Final = frozenset(
-    {"interface", "channel", "bitrate", "can_filters", "ignore_config", "config_context", "receive_own_messages"}
+    {"interface", "channel", "bitrate", "can_filters", "ignore_config", "config_context", "receive_own_messages", "fd"}
 )
+_FD: Final = frozenset({"socketcan", "virtual"})
 _NO_BITRATE: Final = frozenset({"socketcand", "udp_multicast", "virtual"})
 
 
@@ -28,6 +29,12 @@ class BusSettings(Settings):
         gt=0,
         le=1_000_000,
     )
+    fd: bool = Field(
+        default=False, description="Whether the frames are CAN FD frames; the interface must be set up for them"
+    )
+    bit_rate_switch: bool = Field(
+        default=False, description="Whether CAN FD frames are sent with the higher bit rate for their data"
+    )
     options: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="Further arguments of the python-can interface, passed as they are"
     )
@@ -41,6 +48,10 @@ class BusSettings(Settings):
     reopen_interval_ms: float = quantity(
         1000.0, unit="ms", description="Time between two attempts to open the bus", ge=10.0, le=60_000.0
     )
+
+    def with_frames_of(self, other: "BusSettings") -> "BusSettings":
+        """Return this bus, for the kind of frames that another one carries: classic ones or CAN FD."""
+        return self.model_copy(update={"fd": other.fd, "bit_rate_switch": other.bit_rate_switch})
 
     @field_validator("interface")
     @classmethod
@@ -66,4 +77,14 @@ class BusSettings(Settings):
     def _bitrate_has_an_effect(self) -> "BusSettings":
         if self.bitrate is not None and self.interface in _NO_BITRATE:
             raise ValueError(f"bitrate has no effect on interface {self.interface!r}; remove it")
+        return self
+
+    @model_validator(mode="after")
+    def _fd_is_possible(self) -> "BusSettings":
+        if self.bit_rate_switch and not self.fd:
+            raise ValueError("bit_rate_switch has an effect on CAN FD frames only; set fd = true, or remove it")
+        if self.fd and self.interface not in _FD:
+            raise ValueError(f"fd is not possible on interface {self.interface!r}; it is on {', '.join(sorted(_FD))}")
+        if self.fd and self.bitrate is not None:
+            raise ValueError("bitrate serves to check the load of a bus with classic frames; with fd = true, remove it")
         return self

@@ -13,6 +13,9 @@ from cantools.database.can import Database, Message, Signal
 
 from twostage_servo.canbus.signal_codec import SignalCodec, count_codec, flag_codec, position_codec, quantity_codec
 
+_FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
+"""Of CAN FD frames with more than 8 data bytes, ISO 11898-1."""
+
 
 class MessageCodec:
     """Layout of one message. Every signal can be used for one purpose only.
@@ -25,6 +28,8 @@ class MessageCodec:
         Name of the message.
     source
         Path of the DBC file, for error texts.
+    fd
+        Whether it goes into a CAN FD frame.
 
     Attributes
     ----------
@@ -40,10 +45,10 @@ class MessageCodec:
     Raises
     ------
     ValueError
-        When there is no such message, it does not fit a classic CAN frame, or its signals overlap.
+        When there is no such message, it does not fit the frame, or its signals overlap.
     """
 
-    def __init__(self, database: Database, name: str, source: str) -> None:
+    def __init__(self, database: Database, name: str, source: str, *, fd: bool = False) -> None:
         messages: dict[str, Message] = {message.name: message for message in database.messages}
         if name not in messages:
             raise ValueError(f"{source} has no message {name!r}. {_name_those('messages', name, messages)}")
@@ -53,10 +58,15 @@ class MessageCodec:
         self.is_extended: bool = message.is_extended_frame
         self.length: int = message.length
         self._where = f"{source}, message {name}"
-        if self.length > 8:
+        if self.length > 8 and not fd:
             raise ValueError(
-                f"{self._where}: {self.length} bytes need CAN FD, which is not supported. "
-                "Name a message of at most 8 bytes."
+                f"{self._where}: {self.length} bytes need CAN FD. Name a message of at most 8 bytes, or set "
+                "bus.fd = true."
+            )
+        if self.length > 8 and self.length not in _FD_LENGTHS:
+            raise ValueError(
+                f"{self._where}: no CAN FD frame has {self.length} bytes. Those above 8 have "
+                f"{', '.join(map(str, _FD_LENGTHS))}."
             )
         try:
             message.refresh(strict=True)

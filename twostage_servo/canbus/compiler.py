@@ -52,6 +52,8 @@ class Compiler:
         The protocol settings.
     folder
         Folder that a relative ``dbc`` starts from.
+    fd
+        Whether the messages go into CAN FD frames.
 
     Attributes
     ----------
@@ -64,7 +66,8 @@ class Compiler:
         When the DBC cannot be read, or the checksum roles and the algorithm contradict each other.
     """
 
-    def __init__(self, settings: ProtocolSettings, folder: Path) -> None:
+    def __init__(self, settings: ProtocolSettings, folder: Path, *, fd: bool = False) -> None:
+        self._fd = fd
         self.sampling = settings.feedback.sampling
         self._settings = settings
         self._database, self._source = _load(settings.dbc, folder)
@@ -185,12 +188,12 @@ class Compiler:
 
     def _frame(self, table: str, message: str, checksum: Role) -> Frame:
         with _key(table, "message"):
-            layout = MessageCodec(self._database, message, self._source)
+            layout = MessageCodec(self._database, message, self._source, fd=self._fd)
         with _key("identifier_offset"):
             identifier = self._shifted(Identifier(layout.identifier, layout.is_extended), message)
         with _key(table, "checksum"):
             algorithm = (CHECKSUMS[self._settings.checksum], checksum) if checksum is not False else None
-            return Frame(layout, algorithm, identifier)
+            return Frame(layout, algorithm, identifier, fd=self._fd)
 
     def _shifted(self, identifier: Identifier, message: str) -> Identifier:
         shifted = identifier._replace(identifier=identifier.identifier + self._settings.identifier_offset)

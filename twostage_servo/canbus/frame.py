@@ -58,6 +58,8 @@ class Frame:
         Algorithm, with the name of the signal that carries it; None when the message has no checksum.
     identifier
         Identifier, if it is not that of the layout.
+    fd
+        Whether it is a CAN FD frame.
 
     Attributes
     ----------
@@ -72,15 +74,18 @@ class Frame:
         When the checksum's signal does not fill one whole byte.
     """
 
-    __slots__ = ("_checksum", "_checksum_index", "_checksum_name", "_length", "identifier", "layout")
+    __slots__ = ("_checksum", "_checksum_index", "_checksum_name", "_fd", "_length", "identifier", "layout")
 
     def __init__(
         self,
         layout: MessageCodec,
         checksum: tuple[Checksum, str] | None = None,
         identifier: Identifier | None = None,
+        *,
+        fd: bool = False,
     ) -> None:
         self.layout = layout
+        self._fd = fd
         self.identifier = identifier or Identifier(layout.identifier, layout.is_extended)
         self._length = layout.length
         self._checksum: Checksum | None = checksum[0] if checksum else None
@@ -101,8 +106,9 @@ class Frame:
             raise FrameRejected("error_frame", message, "is an error frame")
         if message.is_remote_frame:
             raise FrameRejected("remote", message, "is a remote frame")
-        if message.is_fd:
-            raise FrameRejected("fd", message, "is a CAN FD frame, a classic one is expected")
+        if message.is_fd != self._fd:
+            kinds = ("a classic frame", "a CAN FD frame")
+            raise FrameRejected("fd", message, f"is {kinds[message.is_fd]}, {kinds[self._fd]} is expected")
         if message.is_extended_id != extended:
             raise FrameRejected("extended", message, f"its identifier has {11 if extended else 29} bits")
         if message.arbitration_id != number:

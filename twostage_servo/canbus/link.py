@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import can
+from can.interfaces.socketcan import SocketcanBus
 
 from twostage_servo.canbus.bus_settings import BusSettings
 from twostage_servo.canbus.frame import Identifier
 from twostage_servo.canbus.frame_age import FrameAge, stamp_clock
+from twostage_servo.canbus.network_interface import NetworkInterface
 from twostage_servo.canbus.socketcand import SocketcandBus
 
 __all__ = ["BusSettings", "ControllerState", "Link", "LinkCounters", "LinkError"]
@@ -26,6 +28,7 @@ _FULL_TEXTS: Final = frozenset({"Transmit buffer full", "Could not send message 
 _CONTROLLER: Final = 0x04  # CAN_ERR_CRTL
 _BUS_OFF: Final = 0x40  # CAN_ERR_BUSOFF
 _RESTARTED: Final = 0x100  # CAN_ERR_RESTARTED
+_COUNTERS: Final = 0x200  # CAN_ERR_CNT: bytes 6 and 7 are the controller's error counters
 _PASSIVE: Final = 0x30  # CAN_ERR_CRTL_RX_PASSIVE, CAN_ERR_CRTL_TX_PASSIVE
 _WARNING: Final = 0x0C  # CAN_ERR_CRTL_RX_WARNING, CAN_ERR_CRTL_TX_WARNING
 _ACTIVE: Final = 0x40  # CAN_ERR_CRTL_ACTIVE
@@ -36,7 +39,15 @@ _NEXT_STEPS: Final = {
     "`twostage-servo drive`, or socketcand.",
     "udp_multicast": "Check that the group is a multicast address and that a route leads to it ('ip route').",
 }
-
+_NEXT_STEPS_BY_ERRNO: Final = {
+    errno.EAFNOSUPPORT: "This machine's kernel has no CAN: load it with 'modprobe can' and 'modprobe can_raw'.",
+    errno.ENODEV: "Plug the adapter in; 'ip -brief link' shows the interfaces that are there. Once {channel} is there "
+    "and up ('ip link set {channel} up type can bitrate ...'), the bus opens by itself.",
+    errno.ENETDOWN: "Bring it up with 'ip link set {channel} up type can bitrate ...'; the bus then opens by itself.",
+    errno.ENOLINK: "Check cable, termination and bit rate, then 'ip link set {channel} type can restart'.",
+    errno.EPROTONOSUPPORT: "Set it up for CAN FD: 'ip link set {channel} down', then 'ip link set {channel} up type "
+    "can bitrate ... dbitrate ... fd on'; of a vcan interface, 'ip link set {channel} mtu 72'.",
+}
 
 ControllerState = Literal["active", "warning", "passive"]
 """Fault confinement state of the CAN controller, ISO 11898-1; ``"warning"`` is an active one near its limit."""
@@ -59,9 +70,15 @@ class LinkCounters:
     rejected : int
         Received frames that could not be used; counted by whoever decodes them, with :meth:`count_rejection`.
     dropped : int
-        Frames not sent because the queue was full just then.
+        Frames not sent because the queue was full, or an older frame still in it.
     errors : int
         Error frames: the controller reports trouble on the bus.
+    errors_by_kind : dict of str to int
+        The error frames by what they say about the controller: ``"warning"``, ``"passive"``, ``"active"``,
+        ``"bus_off"``, ``"restarted"``; ``"other"`` is trouble on the bus, or an interface whose error frames carry no
+        more than that.
+    overflowed : int
+        Received frames that the kernel has thrown away because nobody read them in time; known with SocketCAN only.
     overruns : int
         Drains that ended at their bound. One after another, they mean that frames pile up and are read late.
     rejected_by_reason : dict of str to int
@@ -73,13 +90,20 @@ class LinkCounters:
     rejected: int = 0
     dropped: int = 0
     errors: int = 0
+    overflowed: int = 0
     overruns: int = 0
+    errors_by_kind: dict[str, int] = field(default_factory=dict)
     rejected_by_reason: dict[str, int] = field(default_factory=dict)
 
     def count_rejection(self, reason: str) -> None:
         """Count a frame that could not be used."""
         self.rejected += 1
         self.rejected_by_reason[reason] = self.rejected_by_reason.get(reason, 0) + 1
+
+    def count_error(self, kind: str) -> None:
+        """Count an error frame."""
+        self.errors += 1
+        self.errors_by_kind[kind] = self.errors_by_kind.get(kind, 0) + 1
 
 
 class Link:
@@ -107,6 +131,9 @@ class Link:
     controller_state : {"active", "warning", "passive"}
         What the controller's latest error frame says; "active" from each opening on. Stays so where the interface hands
         on no error frames with their data: all but socketcan.
+    error_counters : tuple of two int, or None
+        The controller's counters of transmit and of receive errors, as its latest error frame tells them: it is passive
+        from 128 on, and bus-off from 256 transmit errors. None where none has told them since the bus was opened.
     """
 
     def __init__(
@@ -118,7 +145,11 @@ class Link:
         self.settings = settings
         self.counters = LinkCounters()
         self.controller_state: ControllerState = "active"
+        self.error_counters: tuple[int, int] | None = None
         self._opener = opener or self._open_interface
+        self._interface: NetworkInterface | None = None
+        self._is_sending = False
+        self._overflowed = 0
         self._age: FrameAge | None = None
         self._accepted = frozenset(identifier.identifier for identifier in accepted)
         self._bus: can.BusABC | None = None
@@ -138,14 +169,22 @@ class Link:
         """
         if self._bus is not None:
             return
+        interface = None
         try:
             bus = self._opener()
+            if isinstance(bus, SocketcanBus):
+                interface = NetworkInterface(bus.socket, str(self.settings.channel), fd=self.settings.fd)
+                self._check_opened(bus, interface)
             if type(bus)._apply_filters is can.BusABC._apply_filters:  # noqa: SLF001
                 # Filters in software: recv(0) would return None for each foreign frame and look empty. drain() filters.
                 bus.set_filters(None)
         except Exception as error:  # an interface may raise anything
             raise self._error("cannot be opened", error) from error
         self.controller_state = "active"
+        self.error_counters = None
+        self._interface = interface
+        self._is_sending = False
+        self._overflowed = 0
         clock = stamp_clock(bus, self.settings.interface)
         self._age = FrameAge(*clock) if clock else None
         self._bus = bus
@@ -169,12 +208,31 @@ class Link:
 
     def close(self) -> None:
         """Close the bus. Never raises, and does nothing when it is closed already."""
-        bus, self._bus = self._bus, None
+        bus, self._bus, self._interface = self._bus, None, None
         if bus is not None:
-            try:
-                bus.shutdown()
-            except Exception as error:  # noqa: BLE001 - an interface may raise anything; the bus is given up in any case
-                _log.warning("%s did not close properly: %r", self._name, error)
+            self._shut_down(bus)
+
+    def check(self) -> None:
+        """See whether the bus can still carry frames, and count what the kernel has thrown away; for now and then.
+
+        Without it, an interface that loses its carrier (bus-off) while no error frame comes through would take every
+        command and send none. Does nothing with other interfaces than SocketCAN.
+
+        Raises
+        ------
+        LinkError
+            When the bus is not open, or its interface is gone, down or bus-off.
+        """
+        self._opened()
+        if self._interface is None:
+            return
+        try:
+            self._interface.check()
+            overflowed = self._interface.overflowed()
+        except OSError as error:
+            raise self._error("failed", error) from error
+        self.counters.overflowed += overflowed - self._overflowed
+        self._overflowed = overflowed
 
     def drain(self) -> list[can.Message]:
         """Take the frames that have arrived, oldest first, without waiting.
@@ -190,12 +248,13 @@ class Link:
         messages = []
         counters = self.counters
         try:
+            if self._interface is not None:
+                self._is_sending = self._interface.is_sending()
             for _ in range(self.settings.max_frames_per_tick):
                 message = bus.recv(0)
                 if message is None:
                     break
                 if message.is_error_frame:
-                    counters.errors += 1
                     self._take_error_frame(message)
                 elif message.arbitration_id in self._accepted:
                     messages.append(message)
@@ -230,8 +289,9 @@ class Link:
         Returns
         -------
         bool
-            False when the queue was full just now: the frame is dropped and counted, not kept. Send a newer one in the
-            next tick.
+            False when the queue was full just now, or what was sent before the latest :meth:`drain` has not left yet:
+            the frame is dropped and counted, not kept. Send a newer one in the next tick. So no more than the frames of
+            one tick ever wait in the kernel's queue, however long it is; beside those in the controller itself.
 
         Raises
         ------
@@ -239,9 +299,17 @@ class Link:
             When the bus is not open, or failed.
         """
         bus = self._opened()
+        if self._is_sending:
+            self.counters.dropped += 1
+            return False
         try:
             message = can.Message(
-                arbitration_id=identifier.identifier, is_extended_id=identifier.extended, data=data, check=True
+                arbitration_id=identifier.identifier,
+                is_extended_id=identifier.extended,
+                data=data,
+                is_fd=self.settings.fd,
+                bitrate_switch=self.settings.bit_rate_switch,
+                check=True,
             )
             # The default time-out, None, would wait for ever with some interfaces.
             bus.send(message, timeout=0)
@@ -263,6 +331,8 @@ class Link:
         options: dict[str, Any] = dict(settings.options)
         if settings.bitrate is not None and settings.interface != "socketcan":  # which takes it from 'ip link'
             options["bitrate"] = settings.bitrate
+        if settings.fd and settings.interface == "socketcan":
+            options["fd"] = True
         if settings.interface == "udp_multicast":
             options.setdefault("hop_limit", 0)  # python-can's 1 would let the frames leave the host
         filters = [{"can_id": number, "can_mask": 0x1FFFFFFF} for number in sorted(self._accepted)]
@@ -273,25 +343,45 @@ class Link:
             interface=settings.interface, channel=settings.channel, can_filters=filters, ignore_config=True, **options
         )
 
+    def _check_opened(self, bus: SocketcanBus, interface: NetworkInterface) -> None:
+        """Give the bus up again if nothing can go over it."""
+        try:
+            interface.check()
+        except OSError:
+            self._shut_down(bus)
+            raise
+
+    def _shut_down(self, bus: can.BusABC) -> None:
+        try:
+            bus.shutdown()
+        except Exception as error:  # noqa: BLE001 - an interface may raise anything; the bus is given up in any case
+            _log.warning("%s did not close properly: %r", self._name, error)
+
     def _take_error_frame(self, message: can.Message) -> None:
         if self.settings.interface not in _ERROR_CLASSES:
+            self.counters.count_error("other")
             return
-        classes = message.arbitration_id
+        classes, data = message.arbitration_id, message.data
+        if classes & _COUNTERS and len(data) > 7:
+            self.error_counters = (data[6], data[7])
         if classes & _BUS_OFF:
+            self.counters.count_error("bus_off")
             raise LinkError(
                 f"{self._name} went bus-off: too many transmit errors. Check cable, termination and bit rate, "
-                "then reset the axis."
+                f"restart the controller with 'ip link set {self.settings.channel} type can restart', then reset the "
+                "axis."
             )
-        if classes & _RESTARTED:
-            self.controller_state = "active"
-        if classes & _CONTROLLER and len(message.data) > 1:
-            status = message.data[1]
+        state: ControllerState | None = "active" if classes & _RESTARTED else None
+        if classes & _CONTROLLER and len(data) > 1:
+            status = data[1]
             if status & _PASSIVE:
-                self.controller_state = "passive"
+                state = "passive"
             elif status & _WARNING:
-                self.controller_state = "warning"
+                state = "warning"
             elif status & _ACTIVE:
-                self.controller_state = "active"
+                state = "active"
+        self.counters.count_error("restarted" if classes & _RESTARTED else state or "other")
+        self.controller_state = state or self.controller_state
 
     @property
     def _name(self) -> str:
@@ -301,8 +391,8 @@ class Link:
         settings = self.settings
         options = {"host": "127.0.0.1", "port": 29536} | settings.options
         step = _NEXT_STEPS.get(settings.interface, "Check cable, driver, and the table [bus] of the configuration.")
-        if isinstance(error, OSError) and error.errno == errno.EAFNOSUPPORT:
-            step = "This machine's kernel has no CAN: load it with 'modprobe can' and 'modprobe can_raw'."
+        if settings.interface == "socketcan":
+            step = _NEXT_STEPS_BY_ERRNO.get(_errno(error) or 0, step)
         text = step.format(channel=settings.channel, options=options)
         return LinkError(f"{self._name} {what}: {(str(error) or type(error).__name__).rstrip('.')}. {text}")
 
@@ -311,6 +401,14 @@ def _is_full(error: BaseException) -> bool:
     """Whether an interface says that a queue was full just now, as against that the bus is gone."""
     if isinstance(error, can.CanTimeoutError) or str(error) in _FULL_TEXTS:
         return True
-    cause = error.__cause__
-    code = getattr(error, "error_code", None) or (cause.errno if isinstance(cause, OSError) else None)
-    return code in _FULL_ERRNOS
+    return _errno(error) in _FULL_ERRNOS
+
+
+def _errno(error: BaseException) -> int | None:
+    """Return the system's error number that an interface's error carries, or None."""
+    if isinstance(error, OSError):
+        return error.errno
+    code = getattr(error, "error_code", None)
+    if isinstance(code, int):
+        return code
+    return error.__cause__.errno if isinstance(error.__cause__, OSError) else None

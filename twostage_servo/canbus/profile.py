@@ -174,7 +174,7 @@ class DriveProfile:
         self._heartbeat_encoders = tuple(heartbeat[role].encode for role in Heartbeat._fields)
 
     @classmethod
-    def compile(cls, settings: ProtocolSettings, folder: Path, axis_unit: str) -> Self:
+    def compile(cls, settings: ProtocolSettings, folder: Path, axis_unit: str, *, fd: bool = False) -> Self:
         """Compile the protocol that the settings name.
 
         Parameters
@@ -185,6 +185,8 @@ class DriveProfile:
             Folder of the config file; a relative ``settings.dbc`` starts there.
         axis_unit
             Unit of the axis, compared with the unit that the DBC gives for the position.
+        fd
+            Whether the frames are CAN FD frames.
 
         Returns
         -------
@@ -196,7 +198,7 @@ class DriveProfile:
         ProtocolError
             When settings and DBC do not fit; its ``key`` says which setting to change.
         """
-        return cls(Compiler(settings, folder), axis_unit)
+        return cls(Compiler(settings, folder, fd=fd), axis_unit)
 
     def is_feedback(self, message: can.Message) -> bool:
         """Whether the frame has the number of the feedback; :meth:`decode_feedback` judges the rest."""

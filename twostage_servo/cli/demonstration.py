@@ -77,7 +77,8 @@ class Demonstration:
         self._target = target
         self._velocity = velocity
         self._progress = progress
-        self._bus = BusSettings(interface="virtual", channel="twostage-servo-demo")
+        bus = BusSettings(interface="virtual", channel="twostage-servo-demo")
+        self._bus = bus.with_frames_of(loaded.config.bus)
         self.service = build_service(loaded, self._bus)
         self._station = self.service.station()
         self.service.publishers.append(self._on_tick)

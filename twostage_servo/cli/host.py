@@ -255,6 +255,8 @@ def _load_finding(axes: "list[LoadedConfig[Config]]", tick_s: float, bit_rate: i
     from twostage_servo.service.assembly import compile_profile, cyclic_frames
 
     name = "bus load"
+    if axes[0].config.bus.fd:
+        return Finding(name, Status.SKIP, "it is not computed for CAN FD frames")
     if bit_rate is None:
         return Finding(name, Status.SKIP, "the bit rate is not known")
     with configuration_problems():

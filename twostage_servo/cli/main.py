@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TextIO
 
 from twostage_servo import __version__
-from twostage_servo.cli import demo, engineer, faults, host, operate, paper, serve
+from twostage_servo.cli import demo, engineer, faults, host, install_service, operate, paper, serve
 from twostage_servo.cli.output import CommandError, ExitCode, note, print_json
 
 _EPILOG = """\
@@ -29,7 +29,7 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"twostage-servo {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
-    for group in (demo, serve, engineer, host, faults, paper, operate):
+    for group in (demo, serve, engineer, host, faults, paper, operate, install_service):
         group.add_verbs(verbs)
     return parser
 

@@ -6,7 +6,6 @@ from random import Random
 
 import can
 
-from twostage_servo.canbus.frame import Identifier
 from twostage_servo.faults.world import DRIVE, SERVICE, World
 
 Deliveries = Iterable[tuple[float, can.Message]]
@@ -146,7 +145,10 @@ def foreign_command(world: World, _: Random) -> None:
         nonlocal counter
         if world.now_s < end_s:
             counter += 1
-            node.inject(_frame(profile.command_id, profile.encode_command(0.0, enable=False, counter=counter)))
+            data = profile.encode_command(0.0, enable=False, counter=counter)
+            number, extended = profile.command_id
+            fd = world.station.port.link.settings.fd
+            node.inject(can.Message(arbitration_id=number, is_extended_id=extended, is_fd=fd, data=data))
 
     command(None)
     world.service.publishers.append(command)
@@ -181,7 +183,3 @@ def corrupt(world: World, random: Random) -> None:
 def transmit_dead(world: World, _: Random) -> None:
     """Let nothing that the service sends arrive any more."""
     world.wire.disturb = lambda sender, frame, _now: [] if sender == SERVICE else [(0.0, frame)]
-
-
-def _frame(identifier: Identifier, data: bytes) -> can.Message:
-    return can.Message(arbitration_id=identifier.identifier, is_extended_id=identifier.extended, data=data)

@@ -100,14 +100,15 @@ class World:
         loop = asyncio.get_running_loop()
         self.wall_offset_s = 0.0
         self.wire = Wire(lambda: loop.time() + self.wall_offset_s)
-        self.service: ServoService = build_service(loaded, _BUS, lambda _: self.wire.attach(SERVICE))
+        bus = _BUS.with_frames_of(loaded.config.bus)
+        self.service: ServoService = build_service(loaded, bus, lambda _: self.wire.attach(SERVICE))
         self.station = self.service.station()
         self.ticks = HeldTicks(self.service.ticks.period_s)
         self.service.ticks = self.ticks
         self.service.publishers.append(self._on_tick)
         settings = loaded.config.simulation
         self.drive = SimulatedDrive(settings, self.station.profile, loop.time())
-        link = Link(_BUS, self.station.profile.drive_identifiers, functools.partial(self.wire.attach, DRIVE))
+        link = Link(bus, self.station.profile.drive_identifiers, functools.partial(self.wire.attach, DRIVE))
         self.node = DriveNode(self.drive, link, settings.cycle_ms / 1e3)
         self.samples: list[Sample] = []
         self.keeps_samples = True

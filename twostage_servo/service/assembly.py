@@ -54,7 +54,7 @@ def compile_profile(loaded: LoadedConfig[Config]) -> DriveProfile:
     """
     config = loaded.config
     try:
-        profile = DriveProfile.compile(config.protocol, loaded.folder, config.axis.unit)
+        profile = DriveProfile.compile(config.protocol, loaded.folder, config.axis.unit, fd=config.bus.fd)
     except ProtocolError as error:
         raise loaded.problem(error.key, str(error)) from error
     _check_effort(loaded, profile)

@@ -52,6 +52,8 @@ class Port:
         }
         self._opening: asyncio.Task[None] | None = None
         self._rejected = 0
+        self._overflowed = 0
+        self._next_opening_s = 0.0
         self._ticks_a_report = max(1, round(1.0 / period_s))
         self._controller = "active"
         self._log = structlog.get_logger().bind(bus=link.settings.channel)
@@ -98,15 +100,30 @@ class Port:
         return sent
 
     def publish(self, tick: Tick) -> None:
-        """Tell the log what has changed; what is rejected, once a second."""
+        """Tell the log what has changed; once a second, look after the bus and tell what was rejected or lost."""
         link = self.link
         if link.controller_state != self._controller:
             self._controller = link.controller_state
-            self._log.warning("bus controller", tick=tick.index, state=self._controller)
-        rejected = link.counters.rejected
-        if rejected != self._rejected and tick.index % self._ticks_a_report == 0:
+            counters = link.error_counters
+            self._log.warning("bus controller", tick=tick.index, state=self._controller, error_counters=counters)
+        if tick.index % self._ticks_a_report == 0:
+            self._look_after_bus(tick)
+
+    def _look_after_bus(self, tick: Tick) -> None:
+        link = self.link
+        if self.error is None:
+            try:
+                link.check()
+            except LinkError as error:
+                self._lose(error)
+        rejected, overflowed = link.counters.rejected, link.counters.overflowed
+        if rejected != self._rejected:
             self._log.warning("frames rejected", tick=tick.index, new=rejected - self._rejected, total=rejected)
             self._rejected = rejected
+        if overflowed != self._overflowed:
+            new = overflowed - self._overflowed
+            self._log.warning("frames lost in the kernel, unread", tick=tick.index, new=new, total=overflowed)
+            self._overflowed = overflowed
 
     def _lose(self, error: LinkError) -> None:
         self.error = str(error)
@@ -117,15 +134,21 @@ class Port:
         self.start()
 
     async def _keep_trying_to_open(self) -> None:
-        """Open the bus, in a thread since that may take seconds; the axes are disarmed or tripped meanwhile."""
+        """Open the bus, in a thread since that may take seconds; the axes are disarmed or tripped meanwhile.
+
+        Attempts are the reopen interval apart, also those that succeed: a bus that opens and fails at once, again and
+        again, must cost neither the processor nor the log more than one that does not open.
+        """
+        loop, interval_s = asyncio.get_running_loop(), self.link.settings.reopen_interval_ms / 1e3
         while True:
+            await asyncio.sleep(max(0.0, self._next_opening_s - loop.time()))
+            self._next_opening_s = loop.time() + interval_s
             try:
                 await self.link.open_in_thread()
             except LinkError as error:
                 if str(error) != self.error:
                     self._log.warning("the bus does not open, trying again", error=str(error))
                 self.error = str(error)
-                await asyncio.sleep(self.link.settings.reopen_interval_ms / 1e3)
             else:
                 self.error = None
                 self._log.info("the bus is open", interface=self.link.settings.interface)

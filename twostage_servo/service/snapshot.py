@@ -85,6 +85,8 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "rejected_by_reason": dict(counters.rejected_by_reason),
             "dropped": counters.dropped,
             "errors": counters.errors,
+            "errors_by_kind": dict(counters.errors_by_kind),
+            "overflowed": counters.overflowed,
             "overruns": counters.overruns,
             "lost": axis.drive.monitor.lost,
             "doubled": axis.drive.monitor.doubled,
@@ -100,6 +102,7 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "error": port.error,
             "drive_state": receiver.drive_state,
             "controller": port.link.controller_state,
+            "error_counters": port.link.error_counters,
         },
     }
 

@@ -1,0 +1,98 @@
+"""The rig's own parts; the machine itself is booted by hand or in CI, not by a test."""
+
+import json
+import lzma
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[1] / "tools"
+sys.path.insert(0, str(TOOLS))
+
+from rig import guest as guest_module  # noqa: E402 - found by the path above
+from rig import run as run_module  # noqa: E402
+from rig.guest import Guest, RigError  # noqa: E402
+
+
+@pytest.fixture
+def guest(tmp_path: Path) -> Guest:
+    """A guest whose layer has the programs that start the machine."""
+    made = Guest(tmp_path)
+    (made.layer / "usr/bin").mkdir(parents=True)
+    for name in ("qemu-system-x86_64", "setpriv"):
+        program = made.layer / "usr/bin" / name
+        program.write_text("#!/bin/sh\nexit 3\n")
+        program.chmod(0o755)
+    return made
+
+
+def test_an_entry_of_the_initramfs_is_as_the_kernel_reads_it() -> None:
+    entry = guest_module._cpio("init", 0o100755, b"12345")
+    assert entry[:6] == b"070701"
+    fields = [int(entry[6 + 8 * index : 14 + 8 * index], 16) for index in range(13)]
+    assert (fields[1], fields[6], fields[11]) == (0o100755, 5, 5)
+    assert entry[110:116] == b"init\0\0"  # header and name fill whole words
+    assert entry[116:] == b"12345\0\0\0"
+    assert len(entry) % 4 == 0
+
+
+def test_a_module_stands_behind_what_it_needs(tmp_path: Path) -> None:
+    dependencies = tmp_path / "modules.dep"
+    dependencies.write_text(
+        "fs/9p/9p.ko: net/9p/9pnet.ko fs/netfs.ko\nnet/9p/9pnet.ko:\nfs/netfs.ko:\n"
+        "net/9p/9pnet_virtio.ko: net/9p/9pnet.ko\n"
+    )
+    order = list(guest_module._in_order(dependencies))
+    assert sorted(order) == ["fs/9p/9p.ko", "fs/netfs.ko", "net/9p/9pnet.ko", "net/9p/9pnet_virtio.ko"]
+    for needed, by in (("net/9p/9pnet", "fs/9p/9p"), ("fs/netfs", "fs/9p/9p"), ("net/9p/9pnet", "net/9p/9pnet_virtio")):
+        assert order.index(f"{needed}.ko") < order.index(f"{by}.ko")
+
+
+def test_a_wrapped_kernel_is_unwrapped_and_another_left_as_it_is() -> None:
+    kernel = b"\x7fELF" + bytes(100)
+    assert guest_module._uncompressed(b"boot code" + lzma.compress(kernel) + b"trailer") == kernel
+    for other in (b"no archive in it", b"x\xfd7zXZ\x00 broken", b"boot" + lzma.compress(b"no kernel")):
+        assert guest_module._uncompressed(other) == other
+
+
+@pytest.mark.parametrize(("boards", "count"), [(0, 0), (3, 3)])
+def test_the_machine_has_the_boards_that_were_asked_for(guest: Guest, tmp_path: Path, boards: int, count: int) -> None:
+    arguments = run_module.machine(guest, tmp_path, "tcg", boards, 1024)
+    assert arguments.count("kvaser_pci,canbus=bus") == count
+    assert [one for one in arguments if "path=/," in one] == [
+        "local,security_model=none,multidevs=remap,id=host,path=/,readonly=on"  # nothing of the host can be changed
+    ]
+
+
+def test_a_machine_that_ends_without_a_status_is_the_rigs_failure(
+    guest: Guest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    options = run_module.parse(["--accelerator", "tcg", "--", "true"])
+    with pytest.raises(RigError, match="ended without having run the command"):
+        run_module.run(guest, ["true"], options, sys.stderr)
+    assert not list(tmp_path.glob("rig-*"))  # and nothing is left behind
+
+
+@pytest.mark.parametrize("wrong", [["--timeout", "0"], ["--boards", "9"], ["--memory", "16"]])
+def test_options_that_cannot_be_meant_are_refused(wrong: list[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        run_module.parse([*wrong, "--", "true"])
+    assert caught.value.code == 2
+
+
+def test_candumps_log_is_decoded_without_the_package(tmp_path: Path) -> None:
+    """The frames were packed by hand from config/servo_drive.dbc: position in um, counter in bits 20 to 23."""
+    log = tmp_path / "log"
+    log.write_text(
+        "(1.0) can0 201#00001000\n(1.1) can0 181#E8030000010000FF\n(1.2) can0 201#00003000\n(1.3) can1 201#00004000\n"
+        "(1.4) can0 181##118FCFFFF01000000\n(1.5) can0 20000004#0008000000000000\n"
+    )
+    command = [sys.executable, str(TOOLS / "rig/decode.py"), str(log), "can0"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - our own program
+    assert json.loads(done.stdout) == {
+        "commands": 2, "gaps": 1, "feedbacks": 2, "can_fd": 1, "first": 1.0, "last": -1.0, "highest": 1.0,
+    }  # fmt: skip

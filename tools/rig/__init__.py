@@ -1,0 +1,1 @@
+"""A throw-away virtual machine with CAN and systemd, and what is tried out in it."""
