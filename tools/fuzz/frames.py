@@ -279,7 +279,8 @@ class _Attack:
         data = (data + rng.randbytes(64))[:length]
         number, extended = kind.identifier
         dlc = length if rng.getrandbits(2) else rng.randrange(65)
-        return can.Message(self._stamp(), number, extended, data=data, dlc=dlc, is_fd=kind.fd or (length > 8 and rng.random() < 0.5))
+        fd = kind.fd or (length > 8 and rng.random() < 0.5)
+        return can.Message(self._stamp(), number, extended, data=data, dlc=dlc, is_fd=fd)
 
     def _other_kind(self) -> can.Message:
         """Make a remote frame, CAN FD, an identifier of the other length; alone or together."""
@@ -288,8 +289,9 @@ class _Attack:
         bits = self.rng.randrange(1, 16)
         remote = bits & 1 != 0
         return can.Message(
-            self._stamp(), number, extended != (bits & 2 != 0), is_remote_frame=remote, is_fd=kind.fd != (bits & 4 != 0),
-            error_state_indicator=bits & 8 != 0, data=None if remote else data, dlc=len(data),
+            self._stamp(), number, extended != (bits & 2 != 0), is_remote_frame=remote,
+            is_fd=kind.fd != (bits & 4 != 0), error_state_indicator=bits & 8 != 0, data=None if remote else data,
+            dlc=len(data),
         )  # fmt: skip
 
     def _foreign(self) -> can.Message:

@@ -38,7 +38,8 @@ class CodecTarget:
         number, extended = kind.identifier
         message = can.Message(
             0.0, number ^ (bits >> 4), extended != bool(bits & 1), is_remote_frame=bool(bits & 2),
-            is_error_frame=bool(bits & 4), is_fd=kind.fd != bool(bits & 8), data=None if bits & 2 else payload, dlc=len(payload),
+            is_error_frame=bool(bits & 4), is_fd=kind.fd != bool(bits & 8),
+            data=None if bits & 2 else payload, dlc=len(payload),
         )  # fmt: skip
         compare_with_reference(kind, message)
 
