@@ -224,8 +224,22 @@ class Link:
         """
         return None if self._age is None else self._age.age_s(message.timestamp)
 
-    def send(self, identifier: Identifier, data: bytes) -> bool:
+    def prepare(self, identifier: Identifier, data: bytes) -> can.Message:
+        """Make a frame ready, so that nothing but handing it over is left for :meth:`send`."""
+        message = can.Message(
+            arbitration_id=identifier.identifier, is_extended_id=identifier.extended, data=data, check=True
+        )
+        if isinstance(self._bus, SocketcandBus):
+            self._bus.prepare(message)
+        return message
+
+    def send(self, message: can.Message) -> bool:
         """Hand a frame over, without waiting.
+
+        Parameters
+        ----------
+        message
+            From :meth:`prepare`.
 
         Returns
         -------
@@ -240,9 +254,6 @@ class Link:
         """
         bus = self._opened()
         try:
-            message = can.Message(
-                arbitration_id=identifier.identifier, is_extended_id=identifier.extended, data=data, check=True
-            )
             # The default time-out, None, would wait for ever with some interfaces.
             bus.send(message, timeout=0)
         except Exception as error:  # an interface may raise anything
