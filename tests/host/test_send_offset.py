@@ -10,7 +10,7 @@ PERIOD_S = 0.01
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_it_covers_99_of_100_times(seed: int) -> None:
+def test_it_covers_199_of_200_times(seed: int) -> None:
     source = random.Random(seed)  # noqa: S311
     offset = LearnedOffset(PERIOD_S)
     ready = [60e-6 + source.expovariate(1 / 20e-6) for _ in range(40_000)]
@@ -20,7 +20,7 @@ def test_it_covers_99_of_100_times(seed: int) -> None:
     for ready_s in ready[10_000:]:
         covered += ready_s <= offset.offset_s
         offset.learn(ready_s)
-    assert 0.985 <= covered / 30_000 <= 0.995
+    assert 0.9925 <= covered / 30_000 <= 0.9975
 
 
 def test_it_is_there_within_two_seconds() -> None:
@@ -34,14 +34,14 @@ def test_it_is_there_within_two_seconds() -> None:
     assert covered >= 0.97 * 180
 
 
-def test_after_two_seconds_no_step_changes_an_interval_by_more_than_four_microseconds() -> None:
+def test_after_two_seconds_no_step_changes_an_interval_by_more_than_eight_microseconds() -> None:
     offset = LearnedOffset(PERIOD_S)
     for _ in range(200):
         offset.learn(0.15e-3)
     for ready_s in (0.0, 0.9e-3, 0.2e-3, 0.0, 0.9e-3):
         before_s = offset.offset_s
         offset.learn(ready_s)
-        assert 0.0 < abs(offset.offset_s - before_s) < 4e-6
+        assert 0.0 < abs(offset.offset_s - before_s) < 8e-6
 
 
 @pytest.mark.parametrize(("period_s", "cap_s"), [(0.001, 100e-6), (0.01, 1e-3), (0.1, 1e-3)])

@@ -10,11 +10,11 @@ from typing import Final, Protocol
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.host.wake_margin import LARGEST_MARGIN_S, LARGEST_SHARE
 
-_QUANTILE: Final = 0.99
+_QUANTILE: Final = 0.995
 _FIRST_GAIN_S: Final = 64e-6
-_GAIN_S: Final = 4e-6
+_GAIN_S: Final = 8e-6
 _SHRINKING: Final = 0.98
-"""Of the gain, from each time to the next: the last one is reached in 137 ticks."""
+"""Of the gain, from each time to the next: the last one is reached in 103 ticks."""
 _FIRST_OFFSET_S: Final = 150e-6
 
 
@@ -30,10 +30,10 @@ class SendOffset(Protocol):
 
 
 class LearnedOffset:
-    """Offset that follows the 99 % quantile of the times at which the commands are ready.
+    """Offset that follows the 99.5 % quantile of the times at which the commands are ready.
 
-    Stochastic approximation (Robbins and Monro, 1951): a command that is ready too late moves the offset up by 3.96 µs,
-    one in time moves it down by 0.04 µs, so it rests where the first comes once in 100 ticks. The steps are as small as
+    Stochastic approximation (Robbins and Monro, 1951): a command that is ready too late moves the offset up by 7.96 µs,
+    one in time moves it down by 0.04 µs, so it rests where the first comes once in 200 ticks. The steps are as small as
     they are because each of them changes an interval, too. The first ones are larger, so as to be there in a second.
 
     A time above the cap is not learnt from, as with the margin of the wake-up: no offset would have made up for it.
