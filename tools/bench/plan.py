@@ -25,7 +25,7 @@ class Plan:
     frames_s
         How long each sender is listened to.
     step_rounds, tick_count, real_ticks
-        Rounds of the control step; timed ticks of the whole tick, in simulated and in real time; 0 leaves the latter out.
+        Rounds of the control step; timed ticks of the whole tick, in simulated and in real time, where 0 is none.
     memory_warm_up, memory_ticks
         Ticks before the resident memory is read first, and between the two readings.
     client_rounds, clients_s
