@@ -119,7 +119,7 @@ def test_a_babbling_node_takes_no_more_than_the_bound(link: Link, peer: can.BusA
 def test_own_frames_do_not_come_back(channel: str) -> None:
     link = Link(BusSettings(interface="virtual", channel=channel), [COMMAND])
     link.open()
-    assert link.send(COMMAND, b"\1")
+    assert link.send(link.prepare(COMMAND, b"\1"))
     assert link.drain() == []
     link.close()
 
@@ -148,7 +148,7 @@ def test_bus_off_fails_the_link(opened_with: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("identifier", [COMMAND, Identifier(0x201, extended=True)])
 def test_send_hands_the_frame_over(link: Link, peer: can.BusABC, identifier: Identifier) -> None:
-    assert link.send(identifier, b"\1\2\3\4")
+    assert link.send(link.prepare(identifier, b"\1\2\3\4"))
     message = peer.recv(0)
     assert message is not None
     assert (message.arbitration_id, message.is_extended_id, bytes(message.data)) == (*identifier, b"\1\2\3\4")
@@ -157,12 +157,12 @@ def test_send_hands_the_frame_over(link: Link, peer: can.BusABC, identifier: Ide
 
 def test_a_full_queue_drops_the_frame_and_keeps_nothing(link: Link, channel: str) -> None:
     with can.Bus(interface="virtual", channel=channel, rx_queue_size=1, ignore_config=True) as peer:
-        assert link.send(COMMAND, b"\1")
-        assert not link.send(COMMAND, b"\2")
+        assert link.send(link.prepare(COMMAND, b"\1"))
+        assert not link.send(link.prepare(COMMAND, b"\2"))
         first = peer.recv(0)
         assert first is not None
         assert first.data == b"\1"
-        assert link.send(COMMAND, b"\3")
+        assert link.send(link.prepare(COMMAND, b"\3"))
         newest = peer.recv(0)
         assert newest is not None
         assert newest.data == b"\3"
@@ -188,7 +188,7 @@ def test_a_queue_that_is_full_just_now_is_no_failure(error: Exception, opened_wi
     opened_with["bus"] = FakeBus(lambda: None, raising(error))
     link = Link(BusSettings(interface="socketcan", channel="can0"), [FEEDBACK])
     link.open()
-    assert link.send(COMMAND, b"\1") is False
+    assert link.send(link.prepare(COMMAND, b"\1")) is False
     assert link.counters == LinkCounters(dropped=1)
     assert opened_with["bus"].timeouts == [0]  # never None, which waits for ever
     link.close()
@@ -212,7 +212,7 @@ def test_whatever_an_interface_raises_comes_out_as_link_error(error: Exception, 
     with pytest.raises(
         LinkError, match=r"bus socketcan can0 failed while sending: .+'ip (?:-details link show|link set|-brief link)"
     ) as sending:
-        link.send(COMMAND, b"\1")
+        link.send(link.prepare(COMMAND, b"\1"))
     assert sending.value.__cause__ is error
     with pytest.raises(LinkError, match=r"bus socketcan can0 failed while receiving: .+") as receiving:
         link.drain()
@@ -287,7 +287,7 @@ def test_a_closed_link_neither_reads_nor_sends(link: Link) -> None:
     with pytest.raises(LinkError, match="is not open"):
         link.drain()
     with pytest.raises(LinkError, match="is not open"):
-        link.send(COMMAND, b"\1")
+        link.send(link.prepare(COMMAND, b"\1"))
 
 
 def test_close_never_raises(opened_with: dict[str, Any], caplog: pytest.LogCaptureFixture) -> None:

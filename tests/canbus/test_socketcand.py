@@ -1,4 +1,5 @@
 import asyncio
+import select
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -95,13 +96,13 @@ def test_two_links_talk_through_the_hub() -> None:
     async def scenario() -> None:
         async with two_links() as (_, controller, drive):
             for number in range(20):
-                assert controller.send(COMMAND, bytes((number,)))
+                assert controller.send(controller.prepare(COMMAND, bytes((number,))))
                 (command,) = await asyncio.to_thread(first_frames, drive)
                 assert (command.arbitration_id, command.is_extended_id, bytes(command.data)) == (
                     *COMMAND,
                     bytes((number,)),
                 )
-                assert drive.send(FEEDBACK, bytes(range(8)))
+                assert drive.send(drive.prepare(FEEDBACK, bytes(range(8))))
                 (feedback,) = await asyncio.to_thread(first_frames, controller)
                 assert bytes(feedback.data) == bytes(range(8))
             assert controller.counters.sent == controller.counters.received == 20
@@ -113,7 +114,7 @@ def test_two_links_talk_through_the_hub() -> None:
 def test_an_extended_identifier_passes_through_the_hub() -> None:
     async def scenario() -> None:
         async with two_links() as (_, controller, drive):
-            assert controller.send(Identifier(0x201, extended=True), b"")
+            assert controller.send(controller.prepare(Identifier(0x201, extended=True), b""))
             (message,) = await asyncio.to_thread(first_frames, drive)
             assert (message.is_extended_id, bytes(message.data)) == (True, b"")
 
@@ -132,7 +133,7 @@ def test_a_hub_that_ends_fails_the_link_which_can_open_again() -> None:
             await hub.start()
             await asyncio.to_thread(controller.open)
             await asyncio.to_thread(drive.open)
-            assert controller.send(COMMAND, b"\1")
+            assert controller.send(controller.prepare(COMMAND, b"\1"))
             assert len(await asyncio.to_thread(first_frames, drive)) == 1
 
     asyncio.run(scenario())
@@ -243,14 +244,14 @@ def test_a_server_that_stops_reading_costs_whole_frames_and_never_blocks() -> No
         link = link_to(port)
         link.open()
         for _ in range(100_000):
-            if not link.send(COMMAND, bytes(range(8))):
+            if not link.send(link.prepare(COMMAND, bytes(range(8)))):
                 break
         else:
             pytest.fail("the send buffer never filled")
-        assert link.send(COMMAND, b"\1") is False
+        assert link.send(link.prepare(COMMAND, b"\1")) is False
         counters = link.counters
         may_read.set()
-        while not link.send(COMMAND, b"\xee"):
+        while not link.send(link.prepare(COMMAND, b"\xee")):
             pass
         link.close()
     text = b"< send 201 8 00 01 02 03 04 05 06 07 >"
@@ -284,3 +285,73 @@ def test_only_classic_data_frames_are_sent() -> None:
     refused = pytest.raises(can.CanOperationError, match="classic data frames")
     with server(behaviour) as port, socketcand.SocketcandBus("can0", port=port) as bus, refused:
         bus.send(can.Message(arbitration_id=1, is_remote_frame=True))
+
+
+def test_a_frame_that_was_prepared_is_sent_only_as_itself() -> None:
+    received = bytearray()
+
+    def behaviour(connection: socket.socket) -> None:
+        greet(connection)
+        while data := connection.recv(100):
+            received.extend(data)
+
+    one, other, wider = (
+        can.Message(arbitration_id=0x201, is_extended_id=wide, data=data)
+        for wide, data in ((False, b"\1"), (False, b"\2"), (True, b"\3"))
+    )
+    with server(behaviour) as port, socketcand.SocketcandBus("can0", port=port) as bus:
+        bus.prepare(one)
+        for message in (other, one, wider):
+            bus.send(message)
+        bus.prepare(one)
+        bus.prepare(other)
+        bus.send(one)
+        bus.send(other)
+        with pytest.raises(can.CanOperationError, match="classic data frames"):
+            bus.prepare(can.Message(arbitration_id=1, is_fd=True))
+    frames = [f"< send {number} 1 {data:02x} >" for number, data in
+              (("201", 2), ("201", 1), ("00000201", 3), ("201", 1), ("201", 2))]  # fmt: skip
+    assert received.decode("ascii") == "".join(frames)
+
+
+def test_who_drains_the_bus_asks_the_kernel_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    first, second = b"< frame 181 1.0 01 >< frame 181 1.0 02 >", b"< frame 181 1.0 03 >"
+
+    class Recorded:
+        def __init__(self, connection: socket.socket) -> None:
+            self.asked = 0
+            self._connection = connection
+
+        def recv(self, size: int) -> bytes:
+            self.asked += 1
+            return self._connection.recv(size)
+
+        def fileno(self) -> int:
+            return self._connection.fileno()
+
+    go_on = threading.Event()
+
+    def behaviour(connection: socket.socket) -> None:
+        greet(connection)
+        connection.sendall(first)
+        assert go_on.wait(30)
+        connection.sendall(second)
+        assert_closed(connection)
+
+    def drained(bus: can.BusABC) -> list[int]:
+        return [message.data[0] for message in iter(lambda: bus.recv(0), None)]
+
+    with server(behaviour) as port, socketcand.SocketcandBus("can0", port=port) as bus:
+        select.select([bus.fileno()], [], [])
+        recorded = Recorded(bus._socket)
+        with monkeypatch.context() as patch:
+            patch.setattr(bus, "_socket", recorded)
+            assert drained(bus) == [1, 2]
+            assert recorded.asked == 1
+            assert drained(bus) == []
+            assert recorded.asked == 2
+            go_on.set()
+            select.select([bus.fileno()], [], [])
+            assert drained(bus) == [3]
+            assert drained(bus) == []
+            assert recorded.asked == 4

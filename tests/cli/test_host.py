@@ -49,7 +49,7 @@ def test_latency_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert result["verdict"] == "good"
     assert (result["ticks"], result["period_ms"], result["missed"], result["margin_us"]) == (200, 5.0, 0, 0.0)
     assert result["histogram"] == [{"up_to_us": 1.0, "ticks": 200}]
-    assert [grant["name"] for grant in result["realtime"]] == ["timer slack", "thread switching"]
+    assert [grant["name"] for grant in result["realtime"]] == ["timer slack", "time slice", "thread switching"]
     assert result["obstacles"] == []
 
 

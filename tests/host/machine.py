@@ -26,6 +26,7 @@ class FakeKernel(Kernel):
         self.allowed = set(online)
         self.fifo = 0
         self.slack_ns = 50_000
+        self.slice_ns = 0
         self.interval_s = 5e-3
         self.locked = False
         self.prefaulted = False
@@ -55,6 +56,14 @@ class FakeKernel(Kernel):
     def timer_slack(self) -> int:
         self._grant("slack read")
         return self.slack_ns
+
+    def set_time_slice(self, slice_ns: int) -> None:
+        self._grant("slice")
+        self.slice_ns = slice_ns
+
+    def time_slice(self) -> int:
+        self._grant("slice")
+        return self.slice_ns
 
     def set_switch_interval(self, interval_s: float) -> None:
         self.interval_s = interval_s

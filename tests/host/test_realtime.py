@@ -1,3 +1,5 @@
+import os
+import platform
 import pwd
 import threading
 from collections.abc import Callable
@@ -15,9 +17,10 @@ ALL = RealtimeSettings(priority=50, cpus=[2, 3], lock_memory=True)
 
 
 def test_the_defaults_ask_for_nothing_that_can_be_refused() -> None:
-    kernel = FakeKernel(refused=["fifo", "cpus", "memory", "slack"])
+    kernel = FakeKernel(refused=["fifo", "cpus", "memory", "slack", "slice"])
     report = realtime.apply(RealtimeSettings(), kernel)
-    assert [grant.name for grant in report.grants] == ["timer slack", "thread switching"]
+    assert [grant.name for grant in report.grants] == ["timer slack", "time slice", "thread switching"]
+    assert report.grants[1].granted == "the usual one (Operation not permitted)"
     assert report.warnings == []
 
 
@@ -27,6 +30,7 @@ def test_what_is_granted_is_read_back() -> None:
     assert report.warnings == []
     assert {grant.name: grant.granted for grant in report.grants} == {
         "timer slack": "1 ns",
+        "time slice": "100 µs",
         "thread switching": "100 µs",
         "cpus": "2,3",
         "memory": "100000 KiB locked",
@@ -124,6 +128,25 @@ def test_the_timer_slack_of_this_thread_can_be_set() -> None:
         assert kernel.timer_slack() == realtime.TIMER_SLACK_NS
 
     in_thread(check)
+
+
+def test_the_time_slice_of_this_thread_can_be_set_where_the_kernel_has_one() -> None:
+    def check() -> None:
+        kernel = Kernel()
+        before = os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)
+        usual = kernel.time_slice()
+        kernel.set_time_slice(realtime.TIME_SLICE_NS)
+        # Linux before 6.12 says 0 and does not take it; one that says what it is has to take it.
+        assert kernel.time_slice() == (realtime.TIME_SLICE_NS if usual else 0)
+        assert (os.sched_getscheduler(0), os.getpriority(os.PRIO_PROCESS, 0)) == before
+
+    in_thread(check)
+
+
+def test_a_processor_whose_numbers_are_not_known_keeps_its_time_slice(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(platform, "machine", lambda: "vax")
+    with pytest.raises(OSError, match="not implemented"):
+        Kernel().set_time_slice(realtime.TIME_SLICE_NS)
 
 
 def test_the_cpus_of_this_thread_can_be_set_to_ones_that_are_there() -> None:

@@ -195,10 +195,10 @@ def test_a_bus_that_is_full_or_fails_does_so_at_its_node_alone(rig: Rig) -> None
     link.open()
     node = rig.wire.node("link")
     node.send_error = can.CanOperationError("No buffer space available", errno.ENOBUFS)
-    assert not link.send(FEEDBACK, b"\1")
+    assert not link.send(link.prepare(FEEDBACK, b"\1"))
     assert link.counters.dropped == 1
     node.send_error = None
-    assert link.send(FEEDBACK, b"\2")
+    assert link.send(link.prepare(FEEDBACK, b"\2"))
     assert rig.received(rig.b) == [(2, 5.0)]
     node.receive_error = OSError(errno.ENODEV, "No such device")
     rig.send(3)
@@ -217,7 +217,7 @@ def test_an_interface_that_is_down_fails_until_it_is_up_and_what_came_meanwhile_
     node = rig.wire.node("link")
     node.down = True
     rig.send(2)
-    for fail in (link.drain, partial(link.send, FEEDBACK, b"\1")):
+    for fail in (link.drain, partial(link.send, link.prepare(FEEDBACK, b"\1"))):
         with pytest.raises(LinkError, match="Network is down"):
             fail()
     link.close()
@@ -278,7 +278,8 @@ def test_a_drive_and_a_controller_meet_on_it_in_simulated_time(profile: DrivePro
                 ages.append(link.age_s(message))
             if tick.index == 50:
                 break
-            link.send(profile.command_id, profile.encode_command(1.0, tick.index > 2, tick.index))
+            data = profile.encode_command(1.0, tick.index > 2, tick.index)
+            link.send(link.prepare(profile.command_id, data))
         node.stop()
         await running
         link.close()

@@ -43,10 +43,10 @@ class FailingLink(Link):
             raise LinkError("bus gone. Look at the cable.")
         return super().drain()
 
-    def send(self, identifier: Identifier, data: bytes) -> bool:
+    def send(self, message: can.Message) -> bool:
         if self.fail == "send":
             raise LinkError("bus gone. Look at the cable.")
-        return super().send(identifier, data)
+        return super().send(message)
 
 
 class Bench:
@@ -76,7 +76,7 @@ class Bench:
                 break
             received += [(loop.time(), self.profile.decode_feedback(frame).position) for frame in self.link.drain()]
             data = self.profile.encode_command(effort, tick.index > 1, tick.index)
-            self.link.send(self.profile.command_id, data)
+            self.link.send(self.link.prepare(self.profile.command_id, data))
         self.link.close()
         return received
 

@@ -30,6 +30,7 @@ from twostage_servo import __version__
 from twostage_servo.cli.output import CommandError
 
 PARTS: Final = ("lateness", "frames", "step", "tick", "simulation", "processes", "clients", "millisecond")
+_NOT_QUICK: Final = "it takes too long for --quick"
 _Note = Callable[[str], None]
 
 
@@ -104,12 +105,15 @@ class Run:
             self.result |= processes.measure(machine, self._plan, self._named("processes"))
 
     def _clients(self) -> None:
+        if not self._plan.client_rounds:
+            self.result["not_measured"]["clients_lateness_us"] = _NOT_QUICK
+            return
         with Machine.running(self._priority) as machine:
             self._take("clients_lateness_us", *clients.measure(machine, self._plan, self._named("clients")))
 
     def _millisecond(self) -> None:
         if not self._plan.short_ticks_s:
-            self.result["not_measured"]["millisecond_missed_share"] = "it takes a minute: not with --quick"
+            self.result["not_measured"]["millisecond_missed_share"] = _NOT_QUICK
             return
         with Machine.running(self._priority) as machine:
             self.result |= clients.measure_short_ticks(machine, self._plan, self._named("millisecond"))

@@ -39,6 +39,9 @@ def measure(plan: Plan, priority: int, note: Callable[[str], None]) -> tuple[dic
     not_measured = {}
     for axes in AXES:
         for kind, ticks in (("", plan.tick_count // axes), ("_real_time", plan.real_ticks)):
+            if not ticks:
+                not_measured[f"whole_tick{kind}_us.{axes}"] = "it takes too long for --quick"
+                continue
             note(f"{axes} axes{kind.replace('_', ' ')}, {ticks} ticks")
             options = ["--real"] if kind else []
             try:

@@ -283,8 +283,27 @@ class Link:
         """
         return None if self._age is None else self._age.age_s(message.timestamp)
 
-    def send(self, identifier: Identifier, data: bytes) -> bool:
+    def prepare(self, identifier: Identifier, data: bytes) -> can.Message:
+        """Make a frame ready, so that nothing but handing it over is left for :meth:`send`."""
+        message = can.Message(
+            arbitration_id=identifier.identifier,
+            is_extended_id=identifier.extended,
+            data=data,
+            is_fd=self.settings.fd,
+            bitrate_switch=self.settings.bit_rate_switch,
+            check=True,
+        )
+        if isinstance(self._bus, SocketcandBus):
+            self._bus.prepare(message)
+        return message
+
+    def send(self, message: can.Message) -> bool:
         """Hand a frame over, without waiting.
+
+        Parameters
+        ----------
+        message
+            From :meth:`prepare`.
 
         Returns
         -------
@@ -303,14 +322,6 @@ class Link:
             self.counters.dropped += 1
             return False
         try:
-            message = can.Message(
-                arbitration_id=identifier.identifier,
-                is_extended_id=identifier.extended,
-                data=data,
-                is_fd=self.settings.fd,
-                bitrate_switch=self.settings.bit_rate_switch,
-                check=True,
-            )
             # The default time-out, None, would wait for ever with some interfaces.
             bus.send(message, timeout=0)
         except Exception as error:  # an interface may raise anything

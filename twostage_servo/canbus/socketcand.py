@@ -20,6 +20,8 @@ _UNACKNOWLEDGED_LIMIT_MS: Final = 500
 _SEND_BUFFER_BYTES: Final = 32768
 """Room for a burst of some 50 frames; bounds the old commands that wait on a connection that stalls."""
 _LONGEST_TOKEN: Final = 200
+_ROOM: Final = 65536
+_NONE: Final[tuple[can.Message | None, bytes]] = None, b""
 
 
 class SocketcandBus(can.BusABC):
@@ -54,6 +56,8 @@ class SocketcandBus(can.BusABC):
     ) -> None:
         self.channel_info = f"socketcand on {channel}@{host}:{port}"
         self._received = bytearray()
+        self._is_drained = False
+        self._prepared: dict[int, tuple[can.Message, bytes]] = {}
         self._socket = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S)
         try:
             self._greet(channel)
@@ -100,10 +104,25 @@ class SocketcandBus(can.BusABC):
         if b">" not in self._received:
             if timeout != 0:
                 select.select([self._socket], [], [], timeout)
+            elif self._is_drained:  # by the last read: whoever drains the bus need not ask the kernel again
+                self._is_drained = False
+                return None, False
             with contextlib.suppress(BlockingIOError):
-                self._append(self._socket.recv(65536))
+                data = self._socket.recv(_ROOM)
+                self._append(data)
+                self._is_drained = len(data) < _ROOM
         token = self._next_token()
         return (None if token is None else _parse(token, self.channel_info)), False
+
+    def prepare(self, msg: can.Message) -> None:
+        """Make the text of a data frame ready for :meth:`send`, which takes it if it is given the same message next.
+
+        Raises
+        ------
+        can.CanOperationError
+            When the frame is no classic data frame.
+        """
+        self._prepared[msg.arbitration_id] = msg, _text(msg)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - never waits
         """Hand a data frame to the TCP connection, without ever waiting.
@@ -115,10 +134,9 @@ class SocketcandBus(can.BusABC):
         can.CanOperationError
             When the connection broke, or the frame is no classic data frame.
         """
-        if msg.is_remote_frame or msg.is_error_frame or msg.is_fd:
-            raise can.CanOperationError("only classic data frames can be sent over socketcand")
-        identifier = f"{msg.arbitration_id:08X}" if msg.is_extended_id else f"{msg.arbitration_id:03X}"
-        text = f"< send {identifier} {len(msg.data)} {msg.data.hex(' ')} >".encode("ascii")
+        prepared, text = self._prepared.pop(msg.arbitration_id, _NONE)
+        if prepared is not msg:
+            text = _text(msg)
         try:
             # A third of the buffer is free when the kernel says "writable", so that never a part of a frame is sent.
             _, writable, _ = select.select([], [self._socket], [], 0)
@@ -138,6 +156,13 @@ class SocketcandBus(can.BusABC):
         """Close the connection."""
         super().shutdown()
         self._socket.close()
+
+
+def _text(msg: can.Message) -> bytes:
+    if msg.is_remote_frame or msg.is_error_frame or msg.is_fd:
+        raise can.CanOperationError("only classic data frames can be sent over socketcand")
+    identifier = f"{msg.arbitration_id:08X}" if msg.is_extended_id else f"{msg.arbitration_id:03X}"
+    return f"< send {identifier} {len(msg.data)} {msg.data.hex(' ')} >".encode("ascii")
 
 
 def _parse(token: str, server: str) -> can.Message:

@@ -4,9 +4,9 @@ import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import can
 import structlog
 
-from twostage_servo.canbus.frame import Identifier
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.ticks import Tick
 
@@ -85,18 +85,18 @@ class Port:
                 observe(tick_index, "received", message.arbitration_id, bytes(message.data))
             self._takers[message.arbitration_id].take(message)
 
-    def send(self, tick_index: int, identifier: Identifier, data: bytes) -> bool | None:
-        """Send a frame; return whether the bus has taken it, or None if the bus is gone."""
+    def send(self, tick_index: int, message: can.Message) -> bool | None:
+        """Send a frame of :meth:`Link.prepare`; return whether the bus has taken it, or None if the bus is gone."""
         if self.error is not None:
             return None
         try:
-            sent = self.link.send(identifier, data)
+            sent = self.link.send(message)
         except LinkError as error:
             self._lose(error)
             return None
         if sent:
             for observe in self.observers:
-                observe(tick_index, "sent", identifier.identifier, data)
+                observe(tick_index, "sent", message.arbitration_id, bytes(message.data))
         return sent
 
     def publish(self, tick: Tick) -> None:

@@ -71,7 +71,7 @@ class Station:
         self.command: Command = NO_EFFORT
         self.feedback_to_command = TimeHistogram()
         self._command_counter = 0
-        self._command_data = b""
+        self._frame: can.Message = can.Message()
         self._sent_s: float | None = None
         self._dropped_in_a_row = 0
 
@@ -95,12 +95,11 @@ class Station:
 
     def make_ready(self) -> None:
         """Pack the newest command, so that nothing but its sending is left."""
-        command = self.command
-        self._command_data = self.profile.encode_command(command.effort, command.enable, self._next_counter())
+        self._frame = self._prepared(self.command)
 
     def write(self, tick: Tick) -> None:
         """Send the newest command; one that the bus cannot take now is dropped, never kept."""
-        sent = self.port.send(tick.index, self.profile.command_id, self._command_data)
+        sent = self.port.send(tick.index, self._frame)
         if sent is None:
             return
         self._sent_s = asyncio.get_running_loop().time() if sent else None
@@ -133,8 +132,7 @@ class Station:
 
     def disable_drive(self, tick_index: int) -> None:
         """Tell the drive to disable, as the last thing before the service ends."""
-        data = self.profile.encode_command(0.0, enable=False, counter=self._next_counter())
-        if self.port.send(tick_index, self.profile.command_id, data) is not True:
+        if self.port.send(tick_index, self._prepared(NO_EFFORT)) is not True:
             text = "the drive could not be told to disable; its own time-out has to stop it"
             structlog.get_logger().error(text, axis=self.name, error=self.port.error or "the bus takes no frame")
 
@@ -142,6 +140,7 @@ class Station:
         """Return the state of the axis and its bus, ready for JSON."""
         return report_axis(self)
 
-    def _next_counter(self) -> int:
+    def _prepared(self, command: Command) -> can.Message:
         self._command_counter += 1
-        return self._command_counter
+        data = self.profile.encode_command(command.effort, command.enable, self._command_counter)
+        return self.port.link.prepare(self.profile.command_id, data)

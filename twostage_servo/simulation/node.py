@@ -69,7 +69,7 @@ class DriveNode:
             for message in link.drain():
                 drive.receive(message, now_s)
             for identifier, data in drive.cycle(now_s):
-                link.send(identifier, data)
+                link.send(link.prepare(identifier, data))
         except LinkError as error:
             self._lose(error, now_s)
         if drive.counters.command_timeouts != self._timeouts_reported:
