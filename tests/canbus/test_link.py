@@ -225,7 +225,7 @@ def test_whatever_an_interface_raises_comes_out_as_link_error(error: Exception, 
 def test_frames_are_can_fd_where_the_settings_say_so(channel: str, peer: can.BusABC, switch: bool) -> None:
     link = Link(BusSettings(interface="virtual", channel=channel, fd=True, bit_rate_switch=switch), [FEEDBACK])
     link.open()
-    assert link.send(COMMAND, bytes(12))
+    assert link.send(link.prepare(COMMAND, bytes(12)))
     message = peer.recv(0)
     assert message is not None
     assert (message.is_fd, message.bitrate_switch, len(message.data)) == (True, switch, 12)

@@ -168,7 +168,8 @@ def test_no_frame_is_sent_behind_one_that_has_not_left(
     taken = []
     for interface.sending in (False, True, True, False):
         link.drain()
-        taken.append((link.send(COMMAND, b"\1"), link.send(COMMAND, b"\2")))  # two axes on one bus: both or none
+        frames = [link.prepare(COMMAND, data) for data in (b"\1", b"\2")]
+        taken.append((link.send(frames[0]), link.send(frames[1])))  # two axes on one bus: both or none
     assert taken == [(True, True), (False, False), (False, False), (True, True)]
     assert link.counters == LinkCounters(sent=4, dropped=4)
     link.close()
