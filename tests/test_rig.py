@@ -88,11 +88,12 @@ def test_candumps_log_is_decoded_without_the_package(tmp_path: Path) -> None:
     """The frames were packed by hand from config/servo_drive.dbc: position in um, counter in bits 20 to 23."""
     log = tmp_path / "log"
     log.write_text(
-        "(1.0) can0 201#00001000\n(1.1) can0 181#E8030000010000FF\n(1.2) can0 201#00003000\n(1.3) can1 201#00004000\n"
+        "(1.0) can0 201#18FC1000\n(1.1) can0 181#E8030000010000FF\n(1.2) can0 201#D0073100\n(1.3) can1 201#00004000\n"
         "(1.4) can0 181##118FCFFFF01000000\n(1.5) can0 20000004#0008000000000000\n"
     )
     command = [sys.executable, str(TOOLS / "rig/decode.py"), str(log), "can0"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - our own program
     assert json.loads(done.stdout) == {
         "commands": 2, "gaps": 1, "feedbacks": 2, "can_fd": 1, "first": 1.0, "last": -1.0, "highest": 1.0,
+        "last_command": {"effort": 2.0, "enable": 1}, "braking_commands": 1,
     }  # fmt: skip

@@ -1,21 +1,29 @@
-"""What the scenarios act with: service and simulated drives as processes, their bus, and the control socket."""
+"""What the scenarios act with: the service under systemd, its simulated drives, their buses, and the operators."""
 
 import contextlib
 import json
 import os
 import re
+import shutil
 import signal
 import socket
 import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-PROGRAM: Final = Path(sys.executable).with_name("twostage-servo")
+OPT: Final = Path("/opt/twostage-servo")
+PROGRAM: Final = OPT / "bin/twostage-servo"
+UNIT: Final = "twostage-servo.service"
+GROUP: Final = "twostage-servo"
+CONFIGURATION: Final = Path("/etc/twostage-servo")
+SOCKET: Final = Path("/run/twostage-servo/control.sock")
+_OPERATOR, _STRANGER = 4711, 4712
+_NOBODYS_GROUP: Final = 65534
 _ERROR_FLAG: Final = 0x20000000  # CAN_ERR_FLAG of linux/can.h
 _TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
 # An emulated processor on a machine that has other work to do stalls for tenths of a second. What is shown here is what
@@ -25,6 +33,7 @@ _PATIENT: Final = {
     "stale_feedback_ms": 2000.0, "heartbeat_ms": 10_000.0, "feedback_errors": 100, "missed_ticks": 200,
     "jam_effort": 24.0, "jam_time_ms": 5000.0, "effort_saturation_ms": 5000.0,
 }  # fmt: skip
+_PATIENT_UNIT: Final = "[Service]\nTimeoutStartSec=300\nWatchdogSec=8\n"
 _SIMULATION: Final = """
 [simulation]
 gain = 180.0
@@ -36,47 +45,94 @@ command_timeout_ms = 1000.0
 
 def run(*arguments: str) -> str:
     """Run a program, and return what it printed."""
-    done = subprocess.run(arguments, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    done = attempt(*arguments)
     if done.returncode:
         raise AssertionError(f"`{' '.join(arguments)}` ended with {done.returncode}: {done.stdout}{done.stderr}")
     return done.stdout
 
 
+def attempt(*arguments: str) -> "subprocess.CompletedProcess[str]":
+    """Run a program, whatever comes of it."""
+    return subprocess.run(arguments, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+
+
 class Bench:
-    """Axis x on can0 with its drive on can1, axis y with its drive on vcan0 with CAN FD; one service.
+    """Axis x on can0 with its drive on can1, axis y with its drive on vcan0 with CAN FD; one service, under systemd.
 
     Parameters
     ----------
     folder
-        Where configurations, logs and the socket go.
+        Where the logs of all but the service go.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.socket = folder / "control.sock"
         self._children: dict[str, subprocess.Popen[bytes]] = {}
-        self._notices = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._notices.bind(str(folder / "notify.sock"))
-        self._write_configuration()
 
-    # Processes -------------------------------------------------------------------------------------------------------
+    # Service ---------------------------------------------------------------------------------------------------------
+
+    def install(self) -> list[str]:
+        """Install as the documentation says, with a configuration of two axes; return the paths that were written."""
+        put_into_opt(Path(sys.prefix))
+        placed = json.loads(run(str(PROGRAM), "install-service", "--bit-rate", "500000", "--json"))
+        run("systemd-sysusers")
+        dropped_in = Path(f"/etc/systemd/system/{UNIT}.d/emulated.conf")
+        dropped_in.parent.mkdir()
+        dropped_in.write_text(_PATIENT_UNIT)
+        run("systemctl", "daemon-reload")
+        run("udevadm", "control", "--reload")
+        CONFIGURATION.mkdir()
+        self._write_configuration()
+        return [file["path"] for file in placed["files"]]
+
+    def uninstall(self) -> None:
+        """Remove what :meth:`install` has placed."""
+        run(str(PROGRAM), "install-service", "--uninstall")
+        run("systemctl", "daemon-reload")
+
+    def service(self, verb: str, *options: str) -> None:
+        """Have systemd do something with the service: start, stop, ..."""
+        run("systemctl", verb, *options, UNIT)
+
+    def signal_service(self, number: signal.Signals) -> None:
+        """Send a signal to the service's process."""
+        self.service("kill", f"--signal={number.name}", "--kill-who=main")
+
+    def shown(self, name: str) -> str:
+        """Return a property of the unit, as ``systemctl show`` has it."""
+        return run("systemctl", "show", f"--property={name}", "--value", UNIT).strip()
+
+    @property
+    def pid(self) -> int:
+        """The service's main process."""
+        return int(self.shown("MainPID"))
+
+    def restarted(self, times: int, longest_s: float = 120.0) -> float:
+        """Wait until systemd has restarted the service so many times in all, and it is ready; return how long, s."""
+        begun = time.monotonic()
+        while (int(self.shown("NRestarts")), self.shown("ActiveState")) != (times, "active"):
+            if time.monotonic() - begun > longest_s:
+                state = run("systemctl", "show", "--property=NRestarts,ActiveState,SubState,Result", UNIT)
+                raise AssertionError(f"not restarted for the {times}. time within {longest_s:g} s: {state}")
+            time.sleep(0.5)
+        return time.monotonic() - begun
+
+    def journal(self) -> list[dict[str, Any]]:
+        """Return what the journal has of the unit, its manager's words included."""
+        lines = run("journalctl", f"--unit={UNIT}", "--output=json").splitlines()
+        return [json.loads(line) for line in lines]
+
+    # Other processes -------------------------------------------------------------------------------------------------
 
     def start(self, name: str, *arguments: str) -> None:
         """Start a program, its output in a file of its name."""
-        environment = os.environ | {"NOTIFY_SOCKET": str(self.folder / "notify.sock")} if name == "service" else None
         with (self.folder / f"{name}.log").open("ab") as log:
-            self._children[name] = subprocess.Popen(
-                arguments, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment
-            )
-
-    def start_service(self) -> None:
-        """Start the service."""
-        self.start("service", str(PROGRAM), "run", "--config", str(self.folder / "machine.toml"))
+            self._children[name] = subprocess.Popen(arguments, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
 
     def start_drive(self, axis: str, channel: str) -> None:
         """Start the simulated drive of an axis on an interface."""
         override = ("--set", f'bus.channel="{channel}"')
-        self.start(f"drive_{axis}", str(PROGRAM), "drive", "--config", str(self.folder / f"{axis}.toml"), *override)
+        self.start(f"drive_{axis}", str(PROGRAM), "drive", "--config", str(CONFIGURATION / f"{axis}.toml"), *override)
 
     def end(self, name: str, number: int = signal.SIGTERM) -> int:
         """End a program with a signal, and return its exit code."""
@@ -89,21 +145,16 @@ class Bench:
         for child in self._children.values():
             child.kill()
             child.wait()
-        self._notices.close()
 
     def log(self, name: str) -> str:
-        """Return what a program has printed."""
+        """Return what a program has printed; the service's is the journal's messages."""
+        if name == "service":
+            return "\n".join(str(entry.get("MESSAGE")) for entry in self.journal())
         return (self.folder / f"{name}.log").read_text(errors="replace")
-
-    def ready(self, longest_s: float) -> None:
-        """Wait until the service has told the manager that it is ready."""
-        self._notices.settimeout(longest_s)
-        while b"READY=1" not in self._notices.recv(4096):
-            pass
 
     def processor_share(self, seconds: float) -> float:
         """Return the share of a core that the service takes, over so many seconds, with all its threads."""
-        path = Path(f"/proc/{self._children['service'].pid}/stat")
+        path = Path(f"/proc/{self.pid}/stat")
 
         def used() -> int:
             fields = path.read_text().rpartition(")")[2].split()
@@ -115,21 +166,25 @@ class Bench:
 
     def open_files(self) -> int:
         """Return the number of files that the service has open."""
-        return len(os.listdir(f"/proc/{self._children['service'].pid}/fd"))  # noqa: PTH208 - links that point nowhere
+        return len(os.listdir(f"/proc/{self.pid}/fd"))  # noqa: PTH208 - links that point nowhere
 
     # Operator --------------------------------------------------------------------------------------------------------
 
     def operate(self, *arguments: str) -> dict[str, Any]:
-        """Give one of the operator's commands, and return its JSON."""
-        out = run(str(PROGRAM), *arguments, "--socket", str(self.socket), "--json")
+        """Give a command as an ordinary user of the operators' group, and return its JSON."""
+        out = run(*_as_user(_OPERATOR, GROUP), str(PROGRAM), *arguments, "--json")
         answer: dict[str, Any] = json.loads(out.splitlines()[-1])
         return answer
+
+    def as_stranger(self, *arguments: str) -> "subprocess.CompletedProcess[str]":
+        """Give a command as a user of no group that matters."""
+        return attempt(*_as_user(_STRANGER, str(_NOBODYS_GROUP)), str(PROGRAM), *arguments)
 
     def ask(self, axis: str, **request: Any) -> dict[str, Any]:
         """Send a request over the control socket, and return the answer."""
         with socket.socket(socket.AF_UNIX) as client:
             client.settimeout(30.0)
-            client.connect(str(self.socket))
+            client.connect(str(SOCKET))
             lines = client.makefile("rwb")
             answers = []
             for one in ({"op": "status", "axis": axis} | request, {"op": "release"}):
@@ -166,10 +221,32 @@ class Bench:
         for key, value in _PATIENT.items():
             shipped, count = re.subn(rf"^{key} = [\d.]+", f"{key} = {value}", shipped, flags=re.MULTILINE)
             assert count == 1, key  # noqa: S101 - a key that is gone would be set nowhere
-        service = f'[service]\ntick_ms = 20.0\nsocket = "{self.socket}"\ntrip_folder = "{self.folder}"\n'
+        service = "[service]\ntick_ms = 20.0\n\n[realtime]\nlock_memory = true\n"
         for axis, channel, fd in (("x", "can0", "false"), ("y", "vcan0", "true")):
             text = shipped.replace('channel = "can0"', f'channel = "{channel}"\nfd = {fd}')
             text = text.replace('name = "x"', f'name = "{axis}"')
-            (self.folder / f"{axis}.toml").write_text(service + text + _SIMULATION)
+            (CONFIGURATION / f"{axis}.toml").write_text(service + text + _SIMULATION)
         machine = '[machine]\naxes = ["x.toml", "y.toml"]\nwhen_one_trips = "continue"\n'
-        (self.folder / "machine.toml").write_text(service + machine)
+        (CONFIGURATION / "servo.toml").write_text(service + machine)
+
+
+def put_into_opt(environment: Path) -> None:
+    """Let a virtual environment be seen at /opt as well, where the service can see it; in this guest alone."""
+    if environment == OPT:
+        return
+    interpreter = Path(sys.executable).resolve()
+    if any(parent.stat().st_mode & 0o005 != 0o005 for parent in interpreter.parents):
+        raise SystemExit(
+            f"{interpreter} lies in a folder that only its owner may enter, so the service cannot start it: make the "
+            "environment with the system's own Python, /usr/bin/python3 -m venv"
+        )
+    OPT.mkdir(parents=True)
+    shutil.copytree(environment / "bin", OPT / "bin", symlinks=True)
+    shutil.copy(environment / "pyvenv.cfg", OPT)
+    PROGRAM.write_text(re.sub(r"\A#!.*", f"#!{OPT}/bin/python3", PROGRAM.read_text()))
+    (OPT / "lib").mkdir()
+    run("mount", "--bind", str(environment / "lib"), str(OPT / "lib"))
+
+
+def _as_user(user: int, group: str) -> Sequence[str]:
+    return "setpriv", f"--reuid={user}", f"--regid={group}", "--clear-groups", "--"

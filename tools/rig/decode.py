@@ -1,7 +1,7 @@
 """Decode a log of candump with cantools and the shipped DBC, without a line of the package.
 
 `python tools/rig/decode.py LOG CHANNEL` prints the number of commands and feedbacks, the commands that their counter
-shows to be lost, and the first and last position as JSON.
+shows to be lost, the first and last position, the last command and how many commands braked as JSON.
 """
 
 import itertools
@@ -28,7 +28,7 @@ def main() -> None:
         raise TypeError("servo_drive.dbc is no database of CAN frames")
     command, feedback = (database.get_message_by_name(name) for name in ("DriveCommand", "DriveFeedback"))
     modulus = 1 << command.get_signal_by_name("AliveCounter").length
-    counters, positions, fd = [], [], 0
+    counters, efforts, enables, positions, fd = [], [], [], [], 0
     for line in Path(log).read_text().splitlines():
         _, interface, frame = line.split()[:3]
         identifier, _, data = frame.partition("#")
@@ -38,10 +38,16 @@ def main() -> None:
             data, fd = data[2:], fd + 1
         if int(identifier, 16) == command.frame_id:
             counters.append(int(_signal(command, data, "AliveCounter")))
+            efforts.append(_signal(command, data, "Effort"))
+            enables.append(int(_signal(command, data, "Enable")))
         elif int(identifier, 16) == feedback.frame_id:
             positions.append(_signal(feedback, data, "Position"))
     gaps = sum((later - one) % modulus != 1 for one, later in itertools.pairwise(counters))
-    result = {"commands": len(counters), "gaps": gaps, "feedbacks": len(positions), "can_fd": fd}
+    result: dict[str, object] = {"commands": len(counters), "gaps": gaps, "feedbacks": len(positions), "can_fd": fd}
+    result |= {"last_command": {"effort": efforts[-1], "enable": enables[-1]}}
+    forward = positions[-1] - positions[0]
+    braking = sum(enable and effort * forward < 0.0 for effort, enable in zip(efforts, enables, strict=True))
+    result |= {"braking_commands": braking}
     print(json.dumps(result | {"first": positions[0], "last": positions[-1], "highest": max(positions)}))
 
 

@@ -1,288 +1,50 @@
-"""What must hold on a real bus: `python tools/rig/run.py --timeout 600 -- PYTHON tools/rig/scenarios.py`.
+"""What must hold on a real bus, under a real systemd.
 
-PYTHON is one with this package installed. One boot, one service with axis x on can0 and axis y on vcan0 (CAN FD), each
-with its simulated drive as a process of its own. The scenarios follow each other: each leaves both axes disarmed.
+``python tools/rig/run.py --timeout 600 -- PYTHON tools/rig/scenarios.py``
+
+PYTHON is one of a virtual environment that the system's Python has made and that has this package installed, not
+editable: the service runs as a user of its own. One boot, one service with axis x on can0 and axis y on vcan0 (CAN FD),
+each with its simulated drive as a process of its own. The scenarios follow each other: each leaves both axes disarmed.
 Prints a line a scenario, with its figures; `--json` prints them as one object. Exit code 1 if one fails.
 """
 
 import argparse
 import contextlib
 import json
-import signal
 import sys
 import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from rig.bench import PROGRAM, ROOT, Bench, run  # noqa: E402 - found by the path above
-
-Figures = dict[str, Any]
-
-_BIT_RATE: Final = "500000"
-_IDLE_SHARE: Final = 0.5
-"""Of a core, more than while the bus is there. A loop that does not wait takes a whole one."""
-
-
-def check(holds: bool, what: str, **seen: Any) -> None:
-    """Fail unless something holds."""
-    if not holds:
-        raise AssertionError(f"{what}: {seen}" if seen else what)
-
-
-def up(channel: str, restart_ms: int = 0) -> None:
-    """Bring a board's interface up."""
-    run("ip", "link", "set", channel, "up", "type", "can", "bitrate", _BIT_RATE, "restart-ms", str(restart_ms))
-
-
-def disarmed(shown: Figures) -> bool:
-    """Whether an axis is disarmed, with its drive disabled, its bus open, and hears its drive."""
-    return shown["axis"]["state"] == "disarmed" and shown["bus"]["open"] and shown["axis"]["position"] is not None
-
-
-def shows(text: str) -> Callable[[Figures], bool]:
-    """Return what tells whether an axis shows a text as its bus' error."""
-    return lambda shown: text in (shown["bus"]["error"] or "")
-
-
-def controller_is(state: str) -> Callable[[Figures], bool]:
-    """Return what tells whether the controller is in a state."""
-    return lambda shown: bool(shown["bus"]["controller"] == state)
-
-
-def recover(bench: Bench, axis: str) -> Figures:
-    """Reset a tripped axis, and see that it is disarmed then and stays where it is."""
-    bench.until(axis, "the bus is open and the drive heard", lambda one: one["bus"]["open"] and one["axis"]["position"])
-    refused = bench.ask(axis, op="arm")
-    check(not refused["ok"], "a tripped axis cannot be armed", answer=refused.get("axis"))
-    bench.operate("reset", "--axis", axis)
-    bench.until(axis, "disarmed after reset", disarmed)
-    before = bench.ask(axis)["axis"]["position"]
-    time.sleep(1.0)
-    after = bench.ask(axis)["axis"]
-    check(after["state"] == "disarmed" and abs(after["position"] - before) < 0.01, "nothing moves", **after)
-    return {"position_mm": after["position"]}
-
-
-def move(bench: Bench, axis: str, position: float) -> None:
-    """Arm an axis and let it set out."""
-    check(bench.ask(axis, op="arm")["ok"], "arms")
-    bench.until(axis, "holding", lambda one: one["axis"]["state"] == "holding")
-    check(bench.ask(axis, op="move", position=position)["ok"], "sets out")
-    bench.until(axis, "moving", lambda one: abs(one["axis"]["velocity"] or 0.0) > 50.0)
-
-
-def tripped(bench: Bench, axis: str, code: str, cause: str) -> float:
-    """Wait for a trip, and see what it says; return how long it took, s."""
-    took = bench.until(axis, f"trips as {code}", lambda one: bool(one["trip"]))
-    trip = bench.ask(axis)["trip"]
-    check(trip["code"] == code and cause in trip["cause"], f"trips as {code}: {cause}", **trip)
-    return took
-
-
-def restore(bench: Bench) -> None:
-    """Mend what a scenario that failed has left, as far as it can be."""
-    for act in (
-        lambda: run("tc", "qdisc", "del", "dev", "can0", "root"),
-        lambda: up("can0"),
-        lambda: bench.operate("stop"),
-        lambda: bench.operate("reset"),
-        lambda: bench.operate("disarm"),
-    ):
-        with contextlib.suppress(AssertionError):  # it was not needed, or does not help: the next scenario will tell
-            act()
-    time.sleep(3.0)
-
-
-# Scenarios, in their order --------------------------------------------------------------------------------------------
-
-
-def starts_without_its_buses(bench: Bench) -> Figures:
-    """can0 is down and vcan0 does not exist: the service starts, says what to do, and waits without being busy."""
-    bench.start_service()
-    bench.start_drive("x", "can1")
-    bench.start_drive("y", "vcan0")
-    begun = time.monotonic()
-    bench.ready(200.0)
-    ready_s = time.monotonic() - begun
-    causes = {"x": "Network is down", "y": "No such device"}
-    for axis, text in causes.items():
-        bench.until(axis, text, shows(text))
-    files, share, lines = bench.open_files(), bench.processor_share(5.0), bench.log("service").count("\n")
-    time.sleep(5.0)
-    more = bench.open_files() - files
-    check(more <= 2, "attempts leave no files open, but for one that is being made", more=more)
-    check(bench.log("service").count("\n") == lines, "each cause is logged once")
-    up("can0")
-    up("can1")
-    run("ip", "link", "add", "vcan0", "type", "vcan")
-    run("ip", "link", "set", "vcan0", "mtu", "72", "up")
-    opened_s = max(bench.until(axis, "opens by itself", disarmed) for axis in causes)
-    check(share < _IDLE_SHARE, "waits without being busy", share=share)
-    return {"ready_s": ready_s, "opened_s": opened_s, "processor_waiting": share}
-
-
-def moves_by_the_command_line(bench: Bench) -> Figures:
-    """400 mm on can0, -50 mm on vcan0 with CAN FD, as an operator does it; candump and cantools see the same."""
-    log = bench.folder / "candump.log"
-    bench.start("candump", "candump", "-L", "can0", "vcan0")
-    begun = time.monotonic()
-    bench.operate("arm")
-    bench.operate("move", "x=400", "y=-50", "--wait")
-    took = time.monotonic() - begun
-    frames = {axis: bench.ask(axis)["frames"] for axis in ("x", "y")}
-    places = {axis: bench.ask(axis)["axis"]["position"] for axis in ("x", "y")}
-    bench.operate("disarm")
-    bench.end("candump", signal.SIGINT)
-    log.write_text(bench.log("candump"))
-    seen = {
-        axis: json.loads(run(sys.executable, str(ROOT / "tools/rig/decode.py"), str(log), channel))
-        for axis, channel in (("x", "can0"), ("y", "vcan0"))
-    }
-    for axis, target in (("x", 400.0), ("y", -50.0)):
-        check(abs(places[axis] - target) < 0.1, f"{axis} arrives", **places)
-        check(abs(seen[axis]["last"] - target) < 0.1, "cantools agrees", **seen[axis])
-        check(seen[axis]["commands"] > 200 and seen[axis]["gaps"] == 0, "every command is on the bus", **seen[axis])
-        check(frames[axis]["rejected"] == frames[axis]["dropped"] == 0, "none was dropped or rejected", **frames[axis])
-    check(seen["x"]["can_fd"] == 0 and seen["y"]["can_fd"] > 400, "CAN FD on vcan0 alone", **seen)
-    ages = {axis: frames[axis]["age_us"] for axis in ("x", "y")}
-    check(all(age and age["count"] > 200 for age in ages.values()), "the kernel's stamps date the frames", **ages)
-    return {"took_s": took, "on_can0": seen["x"], "on_vcan0": seen["y"], "age_us": ages}
-
-
-def filters_in_the_kernel(bench: Bench) -> Figures:
-    """Let foreign frames pass by: the kernel's list has our identifiers, and a babbling node costs nothing."""
-    listed = Path("/proc/net/can/rcvlist_fil").read_text()
-    for identifier in ("181", "701", "201"):
-        check(any(line.split()[:2] == ["can0", identifier] for line in listed.splitlines()), "filter", listed=listed)
-    before, quiet = bench.ask("x")["frames"], bench.processor_share(3.0)
-    bench.start("babble", "cangen", "can1", "-g", "2", "-I", "555", "-L", "8")
-    share = bench.processor_share(3.0)
-    bench.end("babble")
-    after = bench.ask("x")["frames"]
-    check(after["overruns"] == before["overruns"], "no drain ends at its bound", **after)
-    check(after["rejected"] == before["rejected"], "nothing is rejected", **after)
-    return {"processor_quiet": quiet, "processor_babble": share}
-
-
-def interface_down(bench: Bench) -> Figures:
-    """Take the interface down in mid-move: drive disabled, no busy loop, opened again disarmed."""
-    move(bench, "x", 0.0)
-    run("ip", "link", "set", "can0", "down")
-    trip_s = tripped(bench, "x", "bus_failed", "Network is down")
-    before = bench.log("service").count("\n")
-    share = bench.processor_share(4.0)
-    lines = bench.log("service").count("\n") - before
-    check(share < _IDLE_SHARE and lines <= 4, "no busy loop", share=share, lines=lines)
-    check(bench.ask("y")["bus"]["open"] and not bench.ask("y")["trip"], "the other bus goes on")
-    up("can0")
-    open_s = bench.until("x", "opens by itself", lambda one: one["bus"]["open"])
-    return {"trip_s": trip_s, "open_s": open_s, "processor_down": share, "log_lines": lines} | recover(bench, "x")
-
-
-def board_removed(bench: Bench) -> Figures:
-    """Remove the board from its slot in mid-move, and put it back."""
-    move(bench, "x", 400.0)
-    Path("/sys/class/net/can0/device/remove").write_text("1")
-    trip_s = tripped(bench, "x", "bus_failed", "")
-    cause = bench.ask("x")["trip"]["cause"]
-    bench.until("x", "missed", lambda one: "No such device" in (one["bus"]["error"] or ""))
-    share = bench.processor_share(4.0)
-    check(share < _IDLE_SHARE, "no busy loop", share=share)
-    Path("/sys/bus/pci/rescan").write_text("1")
-    deadline = time.monotonic() + 20.0
-    while not Path("/sys/class/net/can0").exists():
-        check(time.monotonic() < deadline, "the board is found again within 20 s")
-        time.sleep(0.1)
-    up("can0")
-    open_s = bench.until("x", "opens by itself", lambda one: one["bus"]["open"])
-    return {"trip_s": trip_s, "cause": cause, "open_s": open_s, "processor_gone": share} | recover(bench, "x")
-
-
-def bus_blocked(bench: Bench) -> Figures:
-    """Nothing leaves the interface any more, though its queue has room for 1000: two commands in a row, then a trip.
-
-    When the bus is free again, no more than one old command leaves.
-    """
-    run("ip", "link", "set", "can0", "txqueuelen", "1000")
-    move(bench, "x", 0.0)
-    before = bench.ask("x")["frames"]["sent"]
-    run("tc", "qdisc", "add", "dev", "can0", "root", "tbf", "rate", "8bit", "burst", "16", "limit", "16000")
-    trip_s = tripped(bench, "x", "commands_dropped", "has not taken 2 commands in a row")
-    queued = next(line for line in run("tc", "-s", "qdisc", "show", "dev", "can0").splitlines() if "backlog" in line)
-    waiting = int(queued.split()[2].removesuffix("p"))
-    dropped = bench.ask("x")["frames"]["dropped"]
-    check(waiting <= 1, "no stale command waits", queued=queued)
-    share = bench.processor_share(3.0)
-    run("tc", "qdisc", "del", "dev", "can0", "root")
-    run("ip", "link", "set", "can0", "txqueuelen", "10")
-    figures = {"trip_s": trip_s, "waiting_commands": waiting, "dropped": dropped, "processor_blocked": share}
-    check(bench.ask("x")["frames"]["sent"] > before, "commands leave again")
-    return figures | recover(bench, "x")
-
-
-def queue_full_of_others(bench: Bench) -> Figures:
-    """Another program has filled the queue: ENOBUFS at once, two commands in a row, then a trip."""
-    move(bench, "x", 400.0)
-    before = bench.ask("x")["frames"]["dropped"]
-    run("tc", "qdisc", "add", "dev", "can0", "root", "tbf", "rate", "8bit", "burst", "16", "limit", "16")
-    for _ in range(3):
-        with contextlib.suppress(AssertionError):  # the last ones are told that the queue is full, as they should be
-            run("cansend", "can0", "7FF#0102")
-    trip_s = tripped(bench, "x", "commands_dropped", "has not taken 2 commands in a row")
-    dropped = bench.ask("x")["frames"]["dropped"] - before
-    check(dropped >= 2, "they are counted", dropped=dropped)
-    check(bench.ask("x")["bus"]["open"], "the bus stays open: it is full, not gone")
-    run("tc", "qdisc", "del", "dev", "can0", "root")
-    return {"trip_s": trip_s, "dropped": dropped} | recover(bench, "x")
-
-
-def error_frames(bench: Bench) -> Figures:
-    """Warning and passive are told and tolerated; bus-off disables the drive. Its own bus alone is concerned."""
-    move(bench, "y", 300.0)
-    for status, counters, state in (
-        (0x08, (100, 0), "warning"),
-        (0x20, (130, 5), "passive"),
-        (0x40, (90, 5), "active"),
-    ):
-        bench.error_frame("vcan0", 0x204, bytes((0, status, 0, 0, 0, 0, *counters)))
-        bench.until("y", state, controller_is(state))
-        shown = bench.ask("y")
-        check(shown["bus"]["error_counters"] == list(counters), "the controller's counters", **shown["bus"])
-        check(not shown["trip"], "is tolerated")
-        check(f"state={state}" in bench.log("service") or f'"state":"{state}"' in bench.log("service").replace(" ", ""),
-              "is logged", state=state)  # fmt: skip
-    bench.error_frame("vcan0", 0x40, bytes(8))
-    trip_s = tripped(bench, "y", "bus_failed", "went bus-off")
-    kinds = bench.ask("y")["frames"]["errors_by_kind"]
-    check(kinds == {"warning": 1, "passive": 1, "active": 1, "bus_off": 1}, "each is counted", **kinds)
-    check(not bench.ask("x")["trip"], "the other bus goes on")
-    return {"trip_s": trip_s, "errors_by_kind": kinds} | recover(bench, "y")
-
-
-def killed(bench: Bench) -> Figures:
-    """Kill the service in mid-move: the drive stops by itself; the service that is started again is disarmed."""
-    move(bench, "x", 0.0)
-    bench.end("service", signal.SIGKILL)
-    deadline = time.monotonic() + 30.0
-    while "no command in time" not in bench.log("drive_x"):
-        check(time.monotonic() < deadline, "the drive's own time-out stops it within 30 s")
-        time.sleep(0.1)
-    bench.start_service()
-    bench.ready(200.0)
-    for axis in ("x", "y"):
-        bench.until(axis, "starts disarmed", disarmed)
-    code = bench.end("service")
-    check(code == 0, "ends with 0 when it is asked to", code=code)
-    return {"exit_code": code}
-
+from rig.bench import Bench  # noqa: E402 - found by the path above
+from rig.checks import Figures, restore  # noqa: E402
+from rig.on_the_bus import (  # noqa: E402
+    board_removed,
+    bus_blocked,
+    error_frames,
+    filters_in_the_kernel,
+    interface_down,
+    moves_by_the_command_line,
+    queue_full_of_others,
+    starts_without_its_buses,
+)  # fmt: skip
+from rig.under_systemd import (  # noqa: E402
+    has_its_rights_and_no_more,
+    is_killed_by_the_watchdog,
+    is_restarted_after_a_kill,
+    leaves_no_file,
+    obeys_the_group_alone,
+    stops_as_it_should,
+)  # fmt: skip
 
 SCENARIOS: Final[tuple[Callable[[Bench], Figures], ...]] = (
-    starts_without_its_buses, moves_by_the_command_line, filters_in_the_kernel, interface_down, board_removed,
-    bus_blocked, queue_full_of_others, error_frames, killed,
+    starts_without_its_buses, has_its_rights_and_no_more, obeys_the_group_alone, moves_by_the_command_line,
+    filters_in_the_kernel, interface_down, board_removed, bus_blocked, queue_full_of_others, error_frames,
+    is_restarted_after_a_kill, is_killed_by_the_watchdog, stops_as_it_should, leaves_no_file,
 )  # fmt: skip
 
 
@@ -291,14 +53,15 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    if not PROGRAM.exists():
-        parser.error(f"{PROGRAM} is missing: use the Python of an environment that has the package")
+    if not Path(sys.executable).with_name("twostage-servo").exists():
+        parser.error(f"{sys.executable} is not that of an environment that has the package")
     results: dict[str, Figures] = {}
     failed: list[str] = []
     with (
         tempfile.TemporaryDirectory(prefix="rig-scenarios-") as folder,
         contextlib.closing(Bench(Path(folder))) as bench,
     ):
+        bench.install()
         for scenario in SCENARIOS:
             begun = time.monotonic()
             try:
