@@ -11,10 +11,10 @@ from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.host.wake_margin import LARGEST_MARGIN_S, LARGEST_SHARE
 
 _QUANTILE: Final = 0.995
-_FIRST_GAIN_S: Final = 64e-6
+_LARGEST_GAIN_S: Final = 64e-6
 _GAIN_S: Final = 8e-6
 _SHRINKING: Final = 0.98
-"""Of the gain, from each time to the next: the last one is reached in 103 ticks."""
+"""Of the gain, from each time to the next: the smallest is reached from the largest in 103 ticks."""
 _FIRST_OFFSET_S: Final = 150e-6
 
 
@@ -34,7 +34,8 @@ class LearnedOffset:
 
     Stochastic approximation (Robbins and Monro, 1951): a command that is ready too late moves the offset up by 7.96 µs,
     one in time moves it down by 0.04 µs, so it rests where the first comes once in 200 ticks. The steps are as small as
-    they are because each of them changes an interval, too. The first ones are larger, so as to be there in a second.
+    they are because each of them changes an interval, too. They are larger at first, and they double when one command
+    after another is late, as on a host that has got other work to do: so the new offset is there within a few ticks.
 
     A time above the cap is not learnt from, as with the margin of the wake-up: no offset would have made up for it.
 
@@ -53,7 +54,7 @@ class LearnedOffset:
 
     def __init__(self, period_s: float) -> None:
         self._largest_s = min(LARGEST_MARGIN_S, LARGEST_SHARE * period_s)
-        self._gain_s = _FIRST_GAIN_S
+        self._gain_s = _LARGEST_GAIN_S
         self.offset_s = min(_FIRST_OFFSET_S, self._largest_s)
 
     def learn(self, ready_s: float) -> None:
@@ -62,6 +63,7 @@ class LearnedOffset:
             self.offset_s = max(0.0, self.offset_s - self._gain_s * (1.0 - _QUANTILE))
         elif ready_s <= self._largest_s:
             self.offset_s = min(self._largest_s, self.offset_s + self._gain_s * _QUANTILE)
+            self._gain_s = min(_LARGEST_GAIN_S, 2.0 * self._gain_s)
         self._gain_s = max(_GAIN_S, self._gain_s * _SHRINKING)
 
 
