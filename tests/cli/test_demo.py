@@ -82,6 +82,13 @@ def test_a_load_in_mid_move_is_worked_off(capsys: pytest.CaptureFixture[str]) ->
     assert abs(result["final_error"]) < 0.05
 
 
+def test_a_drive_that_speaks_can_fd_can_be_tried(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys, "--to", "60", "--set", "bus.fd=true")
+    assert result["trip"] is None
+    assert result["frames"]["rejected"] == 0
+    assert result["final_error"] == demo(capsys, "--to", "60")["final_error"]
+
+
 def test_a_drive_mounted_the_other_way_round_can_be_tried(capsys: pytest.CaptureFixture[str]) -> None:
     turned = demo(capsys, "--to", "60", "--set", "axis.plant.gain=-180", "--set", "simulation.gain=-180")
     straight = demo(capsys, "--to", "60")

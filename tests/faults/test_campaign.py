@@ -57,6 +57,15 @@ def test_a_share_of_the_faults_is_met(campaign: Campaign, number: int, phase: Ph
             assert cell.met, cell
 
 
+@pytest.mark.parametrize("number", [12, 13, 14, 15])
+def test_what_happens_on_a_bus_with_can_fd_is_met_as_well(number: int) -> None:
+    """Those faults make frames of their own, which have to be of the kind that the bus carries."""
+    campaign = Campaign(load(None, ["bus.fd=true"]), seed=11)
+    cells = [campaign.run(fault, Phase.CRUISING) for fault in TABLE if fault.number == number]
+    assert cells
+    assert all(cell.met for cell in cells), cells
+
+
 def test_the_table_holds_every_fault_that_needs_neither_processes_nor_a_configuration_of_its_own() -> None:
     assert {fault.number for fault in TABLE} == set(range(1, 55)) - {37, 38, 39, 42, 47, 48, 54}
     assert {phase for fault in TABLE for phase in fault.phases} == set(Phase)
