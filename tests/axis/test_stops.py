@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.axis.trips import TripCode
 
@@ -159,3 +160,20 @@ def test_the_time_of_a_stop_is_ramp_and_swing_and_settling() -> None:
     expected = 250.0 / QUICK + (QUICK / 180.0) / 1000.0 + DESIGN.settling_time_s
     assert DESIGN.stopping_time_s(250.0, QUICK) == pytest.approx(expected)
     assert 0.3 < DESIGN.settling_time_s < 0.5  # the slowest pole of a stop is 0.889: ln 0.01 / ln 0.889 ticks
+
+
+def test_an_axis_can_stop_just_where_a_stop_is_not_refused() -> None:
+    rig = AxisRig()
+    assert not rig.axis.can_stop
+    with pytest.raises(Refused, match="disarmed"):
+        rig.axis.stop(quick=False)
+    rig = rig.armed()
+    rig.axis.move_to(400.0, 100.0)
+    rig.seconds(1.0)
+    assert rig.axis.can_stop
+    rig.axis.stop(quick=False)
+    assert rig.axis.can_stop  # harder
+    rig.axis.raise_trip(TripCode.JAM, "for the test")
+    rig.seconds(1.0)
+    assert rig.state() is State.TRIPPED
+    assert not rig.axis.can_stop
