@@ -6,7 +6,6 @@ dpkg-deb and python3-venv have to be there, and nobody needs to be root. The mai
 """
 
 import argparse
-import datetime
 import gzip
 import hashlib
 import json
@@ -92,11 +91,9 @@ def oldest_libc(packages: Sequence[Distribution]) -> tuple[int, int]:
     needed = (2, 17)
     for package in packages:
         tags = re.findall(r"^Tag: \S+-(\w+)$", package.read_text("WHEEL") or "", re.MULTILINE)
-        versions = [
-            _MANYLINUX.get(tag.partition("_")[0]) or (int(found[1]), int(found[2]))
-            for tag in tags
-            if (found := re.match(r"manylinux_(\d+)_(\d+)", tag)) or tag.partition("_")[0] in _MANYLINUX
-        ]
+        versions = [_MANYLINUX[old] for tag in tags if (old := tag.partition("_")[0]) in _MANYLINUX]
+        told = (re.match(r"manylinux_(\d+)_(\d+)", tag) for tag in tags)
+        versions += [(int(found[1]), int(found[2])) for found in told if found]
         if versions:
             needed = max(needed, min(versions))
         elif any("linux" in tag for tag in tags):
@@ -124,8 +121,8 @@ def copyright_text(packages: Sequence[Distribution]) -> str:
 def _licence(package: Distribution) -> str:
     data = package.metadata
     classified = [one.rpartition(" :: ")[2] for one in data.get_all("Classifier") or () if one.startswith("License ::")]
-    told = data.get("License-Expression") or ", ".join(classified) or (data.get("License") or "").partition("\n")[0]
-    return told or "see there"
+    expressed, called = ((data.get_all(key) or [""])[0] for key in ("License-Expression", "License"))
+    return expressed or ", ".join(classified) or called.partition("\n")[0] or "see there"
 
 
 class Stage:
@@ -186,7 +183,8 @@ class Stage:
             if wheels is None:
                 raise
             fill = f"{_PYTHON} -m pip wheel --wheel-dir {wheels} {TREE} 'setuptools>=77'"
-            raise BuildError(f"{error}\nIf a wheel is missing in {wheels}, fill it where there is a network:\n  {fill}") from error
+            text = f"{error}\nIf a wheel is missing in {wheels}, fill it where there is a network:\n  {fill}"
+            raise BuildError(text) from error
         self.packages = sorted(distributions(path=[str(self._site())]), key=lambda one: one.name.lower())
 
     def _site(self) -> Path:
@@ -225,7 +223,10 @@ class Stage:
         for path in (self._opt / "bin").iterdir():
             if path.name not in kept:
                 path.unlink()
-        shutil.rmtree(self._opt / "include", ignore_errors=True)
+        for name in ("include", "share"):
+            shutil.rmtree(self._opt / name, ignore_errors=True)
+        for path in self._site().glob("*.dist-info/direct_url.json"):  # a folder of this build
+            path.unlink()
         for folder in [*self._site().rglob("tests"), *self._site().rglob("__pycache__")]:
             shutil.rmtree(folder, ignore_errors=True)
         program = self._opt / "bin" / NAME
@@ -238,7 +239,7 @@ class Stage:
         _run(str(self._opt / "bin/python3"), *compiling, "-s", str(self.root), "-p", "/", str(self._site()))
         for path in [self.root, *self.root.rglob("*")]:
             if not path.is_symlink():
-                path.chmod(0o755 if path.is_dir() or os.access(path, os.X_OK) and path.stat().st_mode & 0o100 else 0o644)
+                path.chmod(0o755 if path.is_dir() or path.stat().st_mode & 0o100 else 0o644)
             os.utime(path, (self._date, self._date), follow_symlinks=False)
 
     def files(self) -> list[str]:
@@ -280,9 +281,9 @@ def build(output: Path, wheels: Path | None) -> dict[str, Any]:
     BuildError
         When a tool is missing, or one has failed.
     """
-    for tool, package in (("dpkg-deb", "dpkg"), (_PYTHON, "python3")):
+    for tool, of in (("dpkg-deb", "dpkg"), (_PYTHON, "python3")):
         if shutil.which(tool) is None:
-            raise BuildError(f"{tool} is missing: build on Debian or a system made from it, with `apt install {package}`")
+            raise BuildError(f"{tool} is missing: build on Debian or Ubuntu, with `apt install {of}`")
     if wheels is not None and not wheels.is_dir():
         raise BuildError(f"{wheels} is no folder; --wheels wants the one with the wheels")
     architecture = _run("dpkg", "--print-architecture").strip()
@@ -301,7 +302,7 @@ def build(output: Path, wheels: Path | None) -> dict[str, Any]:
         "package": str(package.resolve()), "version": version(), "architecture": architecture,
         "bytes": package.stat().st_size, "sha256": hashlib.sha256(package.read_bytes()).hexdigest(),
         "installed_bytes": installed, "files": len(files), "python": "{}.{}".format(*stage.python),
-        "date": datetime.datetime.fromtimestamp(date, datetime.UTC).isoformat(), "packages": packages,
+        "date": date, "packages": packages,
         "install": f"sudo apt install {package.resolve()}",
     }  # fmt: skip
 

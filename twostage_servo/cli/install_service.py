@@ -75,7 +75,8 @@ def service_files(program: Path, bit_rate: int, *, vendor: bool = False) -> dict
     texts[_PLAIN_UNIT] = plain.partition("\n")[2]
     top = _VENDORS if vendor else _ADMINISTRATORS
     return {
-        path.replace(_ADMINISTRATORS, top, 1): _MARK + text.replace("@PROGRAM@", str(program)).replace("@BIT_RATE@", str(bit_rate))
+        path.replace(_ADMINISTRATORS, top, 1): _MARK
+        + text.replace("@PROGRAM@", str(program)).replace("@BIT_RATE@", str(bit_rate))
         for path, text in texts.items()
     }
 
