@@ -7,6 +7,9 @@ import math
 import os
 import socket
 import stat
+import subprocess
+import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -233,6 +236,28 @@ def test_where_the_socket_lies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
     assert own_socket() == Path("/run/twostage-servo/control.sock")
     monkeypatch.setenv("TWOSTAGE_SERVO_SOCKET", str(tmp_path / "mine.sock"))
     assert find_socket() == tmp_path / "mine.sock"
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become somebody who may not enter a folder")
+def test_who_may_not_enter_the_folder_of_the_socket_is_told_so() -> None:
+    """The service manager's runtime folder is for the operators' group alone."""
+    ask = (
+        "import os, sys\n"
+        "from pathlib import Path\n"
+        "from twostage_servo.cli.client import Client\n"
+        "from twostage_servo.service import address\n"
+        "address.SYSTEM_SOCKET = Path(sys.argv[1])\n"
+        "os.setresuid(65534, 65534, 65534)\n"
+        "Client(address.find_socket())\n"
+    )
+    environment = {name: value for name, value in os.environ.items() if "RUNTIME" not in name and "SOCKET" not in name}
+    environment["XDG_RUNTIME_DIR"] = "/nowhere"
+    with tempfile.TemporaryDirectory() as closed:  # for its owner alone, in a folder that everybody may enter
+        done = subprocess.run(  # noqa: S603 - our own program
+            [sys.executable, "-c", ask, f"{closed}/control.sock"],
+            capture_output=True, text=True, check=False, env=environment,
+        )  # fmt: skip
+    assert "you may not use it; its owner and group may" in done.stderr, done.stderr
 
 
 def test_a_folder_of_somebody_else_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -52,6 +52,8 @@ def main() -> int:
     """Run all, one after another; also behind one that failed, as far as what it leaves can be mended."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    names = [scenario.__name__ for scenario in SCENARIOS]
+    parser.add_argument("--only", nargs="+", choices=names, default=names, help="the first one starts the service")
     options = parser.parse_args()
     if not Path(sys.executable).with_name("twostage-servo").exists():
         parser.error(f"{sys.executable} is not that of an environment that has the package")
@@ -62,7 +64,7 @@ def main() -> int:
         contextlib.closing(Bench(Path(folder))) as bench,
     ):
         bench.install()
-        for scenario in SCENARIOS:
+        for scenario in (one for one in SCENARIOS if one.__name__ in options.only):
             begun = time.monotonic()
             try:
                 figures = scenario(bench)

@@ -44,7 +44,7 @@ class Client:
             self._socket.connect(str(path))
         except OSError as error:
             self._socket.close()
-            if path.exists() and not path.is_socket():
+            if not isinstance(error, PermissionError) and path.exists() and not path.is_socket():
                 raise CommandError(ExitCode.USAGE, "usage", f"{path} is not a socket") from error
             hint = {
                 FileNotFoundError: "is the service running? Start it with `twostage-servo run --config FILE`, "

@@ -26,7 +26,18 @@ def own_socket() -> Path:
 def find_socket() -> Path:
     """Return the path that a client tries: the user's own service, else the system's."""
     own = own_socket()
-    return own if own.exists() or not SYSTEM_SOCKET.exists() else SYSTEM_SOCKET
+    return own if _is_there(own) or not _is_there(SYSTEM_SOCKET) else SYSTEM_SOCKET
+
+
+def _is_there(path: Path) -> bool:
+    """Whether there is something at a path, or a folder in between that one may not enter: connecting tells which."""
+    try:
+        path.stat()
+    except PermissionError:
+        return True
+    except OSError:
+        return False
+    return True
 
 
 def prepare_folder(socket: Path) -> None:
