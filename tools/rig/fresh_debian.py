@@ -100,7 +100,7 @@ def main() -> int:
     parser.add_argument("--suite", default=codename, help="which Debian; its Python has to be the package's")
     parser.add_argument("--mirror", default="http://deb.debian.org/debian", help="to make it from")
     parser.add_argument("--cache", type=Path, default=home / "twostage-servo-rig", help="folder of what was fetched")
-    parser.add_argument("--timeout", type=float, default=900.0, help="most seconds in the machine (default 900)")
+    parser.add_argument("--timeout", type=float, default=1500.0, help="most seconds in the machine (default 1500)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
     if options.package is not None and not options.package.is_file():

@@ -142,7 +142,7 @@ class Trial:
     def refuse_a_stranger(self) -> Figures:
         """Let nobody command the axis who is not in the group."""
         told = attempt("runuser", "-u", _STRANGER, "--", str(_PROGRAM), "arm")
-        check(told.returncode == 4 and "ermission" in told.stderr, "a stranger is refused", told=told.stderr)
+        check(told.returncode == 4 and "you may not use it" in told.stderr, "a stranger is refused", told=told.stderr)
         return {"exit_code": told.returncode}
 
     def move(self) -> Figures:
