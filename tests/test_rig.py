@@ -66,6 +66,22 @@ def test_the_machine_has_the_boards_that_were_asked_for(guest: Guest, tmp_path: 
     ]
 
 
+def test_another_root_is_booted_read_only_beside_the_hosts(guest: Guest, tmp_path: Path) -> None:
+    arguments = run_module.machine(guest, tmp_path, "tcg", 0, 1024, tmp_path / "a,b")
+    disks = [one for one in arguments if one.startswith("local,") and "id=exchange" not in one]
+    assert len(disks) == 3
+    assert all(one.endswith(",readonly=on") for one in disks)
+    assert f"local,security_model=none,multidevs=remap,id=root,path={tmp_path}/a,,b,readonly=on" in disks
+    assert arguments[arguments.index("-append") + 1].endswith(" rig.root=other")
+
+
+def test_a_root_without_systemd_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        run_module.parse(["--root", str(tmp_path), "--", "true"])
+    assert caught.value.code == 2
+    assert "lib/systemd/systemd" in capsys.readouterr().err
+
+
 def test_a_machine_that_ends_without_a_status_is_the_rigs_failure(
     guest: Guest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

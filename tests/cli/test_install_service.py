@@ -48,6 +48,12 @@ def test_a_file_of_somebody_else_is_left_alone(tmp_path: Path, capsys: pytest.Ca
     assert tree(tmp_path) == {UNITS[0]: "[Unit]\n"}
 
 
+def test_a_package_has_the_same_files_where_the_administrators_outrank_them(tmp_path: Path) -> None:
+    install(tmp_path, "--bit-rate", "250000", "--vendor")
+    assert tree(tmp_path) == {path.replace("etc/", "usr/lib/", 1): text for path, text in FILES.items()}
+    assert {Path(path).parts[:2] for path in tree(tmp_path)} == {("usr", "lib")}
+
+
 def test_printing_places_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     install(tmp_path, "--print", "--bit-rate", "250000")
     assert json.loads(capsys.readouterr().out)["files"] == {f"/{path}": text for path, text in FILES.items()}

@@ -33,7 +33,8 @@ _PATIENT: Final = {
     "stale_feedback_ms": 2000.0, "heartbeat_ms": 10_000.0, "feedback_errors": 100, "missed_ticks": 200,
     "jam_effort": 24.0, "jam_time_ms": 5000.0, "effort_saturation_ms": 5000.0, "overspeed": 1000.0,
 }  # fmt: skip
-_PATIENT_UNIT: Final = "[Service]\nTimeoutStartSec=300\nWatchdogSec=8\n"
+PATIENT_UNIT: Final = "[Service]\nTimeoutStartSec=300\nWatchdogSec=8\n"
+_SERVICE: Final = "[service]\ntick_ms = 20.0\n\n[realtime]\nlock_memory = true\n"
 _SIMULATION: Final = """
 [simulation]
 gain = 180.0
@@ -78,7 +79,7 @@ class Bench:
         run("systemd-sysusers")
         dropped_in = Path(f"/etc/systemd/system/{UNIT}.d/emulated.conf")
         dropped_in.parent.mkdir()
-        dropped_in.write_text(_PATIENT_UNIT)
+        dropped_in.write_text(PATIENT_UNIT)
         run("systemctl", "daemon-reload")
         run("udevadm", "control", "--reload")
         CONFIGURATION.mkdir()
@@ -222,17 +223,21 @@ class Bench:
             bus.send(struct.pack("=IB3x8s", _ERROR_FLAG | classes, 8, data))
 
     def _write_configuration(self) -> None:
-        shipped = (ROOT / "config/socketcan.toml").read_text()
-        for key, value in _PATIENT.items():
-            shipped, count = re.subn(rf"^{key} = [\d.]+", f"{key} = {value}", shipped, flags=re.MULTILINE)
-            assert count == 1, key  # noqa: S101 - a key that is gone would be set nowhere
-        service = "[service]\ntick_ms = 20.0\n\n[realtime]\nlock_memory = true\n"
+        shipped = patient((ROOT / "config/socketcan.toml").read_text())
         for axis, channel, fd in (("x", "can0", "false"), ("y", "vcan0", "true")):
             text = shipped.replace('channel = "can0"', f'channel = "{channel}"\nfd = {fd}')
             text = text.replace('name = "x"', f'name = "{axis}"')
-            (CONFIGURATION / f"{axis}.toml").write_text(service + text + _SIMULATION)
+            (CONFIGURATION / f"{axis}.toml").write_text(text)
         machine = '[machine]\naxes = ["x.toml", "y.toml"]\nwhen_one_trips = "continue"\n'
-        (CONFIGURATION / "servo.toml").write_text(service + machine)
+        (CONFIGURATION / "servo.toml").write_text(_SERVICE + machine)
+
+
+def patient(shipped: str) -> str:
+    """Return the shipped configuration of an axis with limits that suit an emulated machine, and a simulated drive."""
+    for key, value in _PATIENT.items():
+        shipped, count = re.subn(rf"^{key} = [\d.]+", f"{key} = {value}", shipped, flags=re.MULTILINE)
+        assert count == 1, key  # noqa: S101 - a key that is gone would be set nowhere
+    return _SERVICE + shipped + _SIMULATION
 
 
 def put_into_opt(environment: Path) -> None:

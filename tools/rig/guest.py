@@ -20,6 +20,8 @@ PACKAGES: Final = (
 )  # fmt: skip
 KERNELS: Final = ("linux-image-amd64", "linux-image-generic")
 """Debian's and Ubuntu's name for the newest kernel."""
+_SOURCES: Final = ("guest.py", "first_process.sh", "run_command.sh")
+"""Of what is made; the rest of this folder only uses it."""
 _BOOT_MODULES: Final = ("virtio_pci", "virtio_console", "9pnet_virtio", "9p", "overlay")
 _KEPT: Final = (
     "./boot/vmlinuz-*", "./lib/modules/*/modules.*",
@@ -84,7 +86,7 @@ class Guest:
         RigError
             When apt cannot give a package, or a package is not what was expected.
         """
-        newest = max(path.stat().st_mtime for path in HERE.iterdir() if path.is_file())
+        newest = max((HERE / name).stat().st_mtime for name in _SOURCES)
         if self._done.exists() and self._done.stat().st_mtime > newest:
             return
         self._done.unlink(missing_ok=True)

@@ -2,6 +2,7 @@
 
 `python tools/rig/run.py -- COMMAND...` is for Debian and Ubuntu on amd64. KVM is used where it works. The machine has
 two emulated Kvaser boards, can0 and can1, on one bus, and sees the host's files at their paths, without changing any.
+With `--root FOLDER` it boots from the system in that folder instead, and sees the host's files below /host.
 Exit code: the command's; 124 the time limit; 125 the rig itself failed.
 """
 
@@ -34,6 +35,10 @@ _KERNEL: Final = (
     "systemd.show_status=no systemd.getty_auto=no systemd.condition-needs-update=no systemd.journald.storage=volatile "
     "systemd.mask=systemd-timesyncd.service systemd.unified_cgroup_hierarchy=1"
 )
+_OTHER_ROOT: Final = "rig.root=other"
+"""What tells first_process.sh that the host's root is not to be booted."""
+_NEEDED: Final = ("lib/systemd/systemd", "lib/systemd/systemd-udevd", "sbin/modprobe", "sbin/ip", "bin/bash")
+"""What a system has to have to be booted by the rig."""
 _PASSED_ON: Final = ("PATH", "HOME", "LANG", "PYTHONPATH", "VIRTUAL_ENV")
 
 
@@ -58,9 +63,13 @@ class Ended(NamedTuple):
     console: str
 
 
-def machine(guest: Guest, folder: Path, accelerator: str, boards: int, memory_mib: int) -> list[str]:
+def machine(
+    guest: Guest, folder: Path, accelerator: str, boards: int, memory_mib: int, root: Path | None = None
+) -> list[str]:
     """Return QEMU's command line."""
-    shared = ("host,path=/,readonly=on", f"layer,path={guest.layer},readonly=on", f"exchange,path={folder}")
+    shared = ["host,path=/,readonly=on", f"layer,path={guest.layer},readonly=on", f"exchange,path={folder}"]
+    if root is not None:
+        shared.append(f"root,path={str(root).replace(',', ',,')},readonly=on")
     disks = [
         argument
         for one in shared
@@ -77,7 +86,8 @@ def machine(guest: Guest, folder: Path, accelerator: str, boards: int, memory_mi
         guest.tool("qemu-system-x86_64"), *data, "-L", "/usr/share/qemu", "-L", "/usr/share/seabios",
         "-accel", "kvm" if accelerator == "kvm" else "tcg,thread=multi", "-cpu", "max", "-M", "pc,vmport=off",
         "-smp", "2", "-m", str(memory_mib), "-nodefaults", "-no-reboot", "-display", "none",
-        "-kernel", str(guest.kernel), "-initrd", str(guest.initramfs), "-append", _KERNEL,
+        "-kernel", str(guest.kernel), "-initrd", str(guest.initramfs),
+        "-append", _KERNEL if root is None else f"{_KERNEL} {_OTHER_ROOT}",
         "-serial", f"file:{folder / 'console'}", "-device", "virtio-rng-pci",
         "-device", "virtio-serial-pci", "-chardev", "stdio,id=output,signal=off",
         "-device", "virtconsole,chardev=output",
@@ -106,14 +116,16 @@ def run(guest: Guest, command: Sequence[str], options: argparse.Namespace, outpu
 def _boot(
     guest: Guest, folder: Path, command: Sequence[str], options: argparse.Namespace, output: IO[str], accelerator: str
 ) -> Ended | None:
-    kept = [f"{name}={os.environ[name]}" for name in _PASSED_ON if name in os.environ]
+    here = Path.cwd() if options.root is None else Path("/host", *Path.cwd().parts[1:])
+    passed_on = _PASSED_ON if options.root is None else ()  # another system has its own paths
+    kept = [f"{name}={os.environ[name]}" for name in passed_on if name in os.environ]
     line = shlex.join(["exec", "env", *kept, *options.env, *command])
-    (folder / "command").write_text(f"cd {shlex.quote(str(Path.cwd()))} && {line}\n")
+    (folder / "command").write_text(f"cd {shlex.quote(str(here))} && {line}\n")
     console, errors = folder / "console", folder / "errors"
     console.touch()
     begun = time.monotonic()
     timed_out = False
-    arguments = machine(guest, folder, accelerator, options.boards, options.memory)
+    arguments = machine(guest, folder, accelerator, options.boards, options.memory, options.root)
     with errors.open("w") as out, subprocess.Popen(
         arguments, stdin=subprocess.DEVNULL, stdout=output, stderr=out, env=guest.environment()
     ) as virtual:  # fmt: skip
@@ -149,6 +161,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--boards", type=int, default=2, help="Kvaser boards, that is can0, can1, ... (default 2)")
     parser.add_argument("--memory", type=int, default=2048, help="of the machine, MiB (default 2048)")
     parser.add_argument("--accelerator", choices=("auto", "kvm", "tcg"), default="auto", help="tcg is emulation")
+    parser.add_argument("--root", type=Path, metavar="FOLDER", help="boot the system in there, not the host's")
     parser.add_argument("--env", action="append", default=[], metavar="NAME=VALUE", help="set for the command")
     parser.add_argument("--cache", type=Path, default=home / "twostage-servo-rig", help="folder of what was fetched")
     parser.add_argument("--console", type=Path, help="keep there what kernel and systemd print")
@@ -157,6 +170,11 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if options.timeout <= 0.0 or options.boards not in range(9) or options.memory < 512:
         parser.error("--timeout must be above 0, --boards 0 to 8, --memory at least 512")
+    if options.root is not None:
+        options.root = options.root.resolve()
+        if missing := [name for name in _NEEDED if not os.path.lexists(options.root / name)]:
+            parser.error(f"--root {options.root}: {', '.join(missing)} missing; make it with debootstrap --include="
+                         "systemd,systemd-sysv,udev,dbus,kmod,iproute2")  # fmt: skip
     return options
 
 

@@ -20,6 +20,8 @@ _DESTINATIONS: Final = {
     "twostage-servo.sysusers": "etc/sysusers.d/twostage-servo.conf",
 }
 _PLAIN_UNIT: Final = "etc/systemd/system/twostage-servo.service"
+_ADMINISTRATORS, _VENDORS = "etc", "usr/lib"
+"""Where systemd and udev look: what lies in the first outranks what a package has put into the second."""
 _HIDDEN: Final = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")  # noqa: S108 - ProtectHome and PrivateTmp hide them
 _AFTER: Final = ("systemd-sysusers", "systemctl daemon-reload", "udevadm control --reload")
 
@@ -45,11 +47,12 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     parser.add_argument("--bit-rate", type=int, default=500_000, metavar="BIT/S", help="of the bus (default 500000)")
     parser.add_argument("--program", type=Path, help="path of twostage-servo (default: the one that runs)")
     parser.add_argument("--root", type=Path, default=Path("/"), help="folder to place the files below (default /)")
+    parser.add_argument("--vendor", action="store_true", help="for a package: below /usr/lib, which /etc outranks")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_run)
 
 
-def service_files(program: Path, bit_rate: int) -> dict[str, str]:
+def service_files(program: Path, bit_rate: int, *, vendor: bool = False) -> dict[str, str]:
     """Return the files by their paths below the root.
 
     Parameters
@@ -58,6 +61,8 @@ def service_files(program: Path, bit_rate: int) -> dict[str, str]:
         Absolute path of ``twostage-servo``.
     bit_rate
         Of the CAN interfaces, bit/s.
+    vendor
+        Whether they come with a package, and so lie below ``usr/lib``, or are the administrator's, below ``etc``.
     """
     from importlib.resources import files
 
@@ -68,8 +73,10 @@ def service_files(program: Path, bit_rate: int) -> dict[str, str]:
     plain = unit.replace("/%i.toml", "/servo.toml").replace("twostage-servo-%i", "twostage-servo")
     plain = plain.replace(", configuration %i", "").replace("twostage-servo-NAME", "twostage-servo")
     texts[_PLAIN_UNIT] = plain.partition("\n")[2]
+    top = _VENDORS if vendor else _ADMINISTRATORS
     return {
-        path: _MARK + text.replace("@PROGRAM@", str(program)).replace("@BIT_RATE@", str(bit_rate))
+        path.replace(_ADMINISTRATORS, top, 1): _MARK
+        + text.replace("@PROGRAM@", str(program)).replace("@BIT_RATE@", str(bit_rate))
         for path, text in texts.items()
     }
 
@@ -78,7 +85,7 @@ def _run(options: argparse.Namespace) -> ExitCode:
     if not 0 < options.bit_rate <= 1_000_000:
         text = f"--bit-rate {options.bit_rate}: a classic CAN bus has 1 to 1000000 bit/s"
         raise CommandError(ExitCode.USAGE, "bit_rate", text)
-    texts = service_files(_program(options), options.bit_rate)
+    texts = service_files(_program(options), options.bit_rate, vendor=options.vendor)
     if options.show:
         if options.json:
             print_json({"files": {f"/{path}": text for path, text in texts.items()}})

@@ -1,0 +1,1 @@
+"""The Debian package: what builds it, and its maintainer's scripts."""

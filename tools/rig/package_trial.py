@@ -1,0 +1,295 @@
+"""What must hold of the Debian package on a fresh Debian, without a network; fresh_debian.py runs it in its guest.
+
+``package_trial.py PACKAGE``: installs it, moves an axis under systemd as an operator does, upgrades, removes and purges
+it, and compares all files before and after. Prints a line a step, then one JSON object. Exit code 1 if a step fails.
+"""
+
+import contextlib
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from rig.bench import CONFIGURATION, GROUP, OPT, PATIENT_UNIT, UNIT, attempt, patient, run  # noqa: E402 - as above
+
+Figures = dict[str, Any]
+
+_PROGRAM: Final = Path("/usr/bin/twostage-servo")
+_EXAMPLE: Final = Path("/usr/share/doc/twostage-servo/examples/socketcan.toml")
+_STATE: Final = Path("/var/lib/private/twostage-servo")
+_OPERATOR, _STRANGER = "operator1", "stranger1"
+_IGNORED: Final = (
+    "/proc", "/sys", "/dev", "/run", "/tmp", "/var/tmp", "/rig", "/host",  # noqa: S108 - they are not looked at
+    "/var/log", "/var/lib/dpkg", "/var/lib/apt", "/var/cache/apt",
+    "/var/lib/systemd",  # its random seed, time stamps and catalogue
+    "/etc/.pwd.lock", "/etc/passwd-", "/etc/shadow-", "/etc/group-", "/etc/gshadow-",  # of whatever edits accounts
+)  # fmt: skip
+"""Bookkeeping of others, and what no package leaves anything in."""
+
+
+def inventory(top: str = "/") -> dict[str, str]:
+    """Return all files, folders and links below a folder, each with what it is; of those in /etc also what is in it."""
+    found = {}
+    for folder, folders, files in os.walk(top):
+        folders[:] = [name for name in folders if not _is_ignored(Path(folder, name))]
+        for path in (Path(folder, name) for name in [*folders, *files]):
+            if str(path) in _IGNORED:
+                continue
+            kind = f"link to {path.readlink()}" if path.is_symlink() else oct(path.lstat().st_mode)
+            if path.is_relative_to("/etc") and path.is_file():
+                kind += hashlib.sha256(path.read_bytes()).hexdigest()
+            found[str(path)] = kind
+    return found
+
+
+def _is_ignored(folder: Path) -> bool:
+    return str(folder) in _IGNORED or folder.is_mount()
+
+
+def differences(before: Mapping[str, str], after: Mapping[str, str]) -> dict[str, list[str]]:
+    """Return what was added, removed and changed between two inventories."""
+    found = {
+        "added": sorted(after.keys() - before.keys()),
+        "removed": sorted(before.keys() - after.keys()),
+        "changed": sorted(path for path in before.keys() & after.keys() if before[path] != after[path]),
+    }
+    return {kind: paths for kind, paths in found.items() if paths}
+
+
+def check(holds: object, what: str, **seen: Any) -> None:
+    """Fail unless something holds."""
+    if not holds:
+        raise AssertionError(f"{what}: {seen}" if seen else what)
+
+
+class Trial:
+    """The steps, in their order; each builds on the one before.
+
+    Parameters
+    ----------
+    package
+        The file to install.
+    """
+
+    def __init__(self, package: Path) -> None:
+        self._package = package
+        self._drive: subprocess.Popen[bytes] | None = None
+        self._fresh: dict[str, str] = {}
+        self._unpacked: dict[str, str] = {}
+
+    @property
+    def steps(self) -> tuple[Callable[[], Figures], ...]:
+        """What is done, one after another."""
+        return (
+            self.look_before, self.install, self.bring_the_bus_up, self.start, self.refuse_a_stranger, self.move,
+            self.write_nothing_in_opt, self.upgrade, self.start_again, self.trip, self.remove, self.purge,
+        )  # fmt: skip
+
+    def look_before(self) -> Figures:
+        """Two ordinary users, then the list of all files."""
+        for name in (_OPERATOR, _STRANGER):
+            run("useradd", name)
+        self._fresh = inventory()
+        return {"files_before": len(self._fresh)}
+
+    def install(self) -> Figures:
+        """Install without a network: nothing is started or enabled, and the operator joins the group."""
+        begun = time.monotonic()
+        told = run("dpkg", "--install", str(self._package))
+        took = time.monotonic() - begun
+        self._unpacked = inventory(str(OPT))
+        self._is_at_rest("disabled")
+        check(not run("dpkg", "--verify", "twostage-servo"), "every file is as the package has it")
+        run("usermod", "--append", "--groups", GROUP, _OPERATOR)
+        check("error" not in told.lower(), "is installed without an error", told=told)
+        return {"install_s": took, "files_in_opt": len(self._unpacked)}
+
+    def bring_the_bus_up(self) -> Figures:
+        """Bring both interfaces up by systemd-networkd, with the package's network file."""
+        begun = time.monotonic()
+        run("systemctl", "start", "systemd-networkd")
+        for channel in ("can0", "can1"):
+            _until(f"{channel} is up", lambda channel=channel: "UP" in _link(channel)["flags"])  # type: ignore[misc]
+            data = _link(channel)["linkinfo"]["info_data"]
+            check(data["bittiming"]["bitrate"] == 500_000, "has the bit rate", **data)
+            check(not data.get("restart_ms"), "stays off after bus-off", **data)
+        return {"bus_s": time.monotonic() - begun}
+
+    def start(self) -> Figures:
+        """Start the service with the example, and its simulated drive; with the patience that an emulator needs."""
+        dropped_in = Path(f"/run/systemd/system/{UNIT}.d/emulated.conf")
+        dropped_in.parent.mkdir(parents=True)
+        dropped_in.write_text(PATIENT_UNIT)
+        run("systemctl", "daemon-reload")
+        configuration = CONFIGURATION / "servo.toml"
+        configuration.write_text(patient(_EXAMPLE.read_text()))
+        with Path("/run/drive.log").open("wb") as log:
+            command = (str(_PROGRAM), "drive", "--config", str(configuration), "--set", 'bus.channel="can1"')
+            self._drive = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        begun = time.monotonic()
+        run("systemctl", "enable", "--quiet", "--now", UNIT)
+        ready_s = time.monotonic() - begun
+        self._is_disarmed()
+        return {"ready_s": ready_s}
+
+    def refuse_a_stranger(self) -> Figures:
+        """Let nobody command the axis who is not in the group."""
+        told = attempt("runuser", "-u", _STRANGER, "--", str(_PROGRAM), "arm")
+        check(told.returncode == 4 and "you may not use it" in told.stderr, "a stranger is refused", told=told.stderr)
+        return {"exit_code": told.returncode}
+
+    def move(self) -> Figures:
+        """Move 400 mm as an unprivileged member of the group."""
+        begun = time.monotonic()
+        self._operate("arm")
+        self._operate("move", "400", "--wait")
+        took = time.monotonic() - begun
+        axis = self._status()["axis"]
+        check(abs(axis["position"] - 400.0) < 0.1, "arrives", **axis)
+        return {"move_s": took, "position_mm": axis["position"]}
+
+    def write_nothing_in_opt(self) -> Figures:
+        """Find all as it was unpacked: neither service nor commands write below /opt, and root's do not either.
+
+        Disarmed: reading so much stalls an emulated machine for longer than an axis bears.
+        """
+        self._operate("disarm")
+        changed = differences(self._unpacked, inventory(str(OPT)))
+        check(not changed, "nothing is written below /opt", **changed)
+        return {}
+
+    def upgrade(self) -> Figures:
+        """Install the package over itself while the axis holds: the service stops by itself, and is not started."""
+        self._operate("arm")
+        begun = time.monotonic()
+        told = run("dpkg", "--install", str(self._package))
+        took = time.monotonic() - begun
+        self._is_at_rest("enabled")
+        check(f"systemctl start {UNIT}" in told, "says how to start it again", told=told)
+        check(run("systemctl", "show", "--property=Result", "--value", UNIT).strip() == "success", "stops as it should")
+        changed = differences(self._unpacked, inventory(str(OPT)))
+        check(not changed, "the same files are there", **changed)
+        lines = run("journalctl", "--output=cat", f"--unit={UNIT}").splitlines()
+        (ended,) = (json.loads(line) for line in lines if '"event": "ending"' in line)
+        return {"upgrade_s": took, "stopped_while": ended["x"]}
+
+    def start_again(self) -> Figures:
+        """Start it as the upgrade says: it is disarmed."""
+        begun = time.monotonic()
+        run("systemctl", "start", UNIT)
+        ready_s = time.monotonic() - begun
+        self._is_disarmed()
+        return {"ready_s": ready_s}
+
+    def trip(self) -> Figures:
+        """Kill the drive under an armed axis: the service leaves a file of its last ticks."""
+        self._operate("arm")
+        check(self._drive is not None, "the drive runs")
+        assert self._drive is not None  # noqa: S101 - for the type checker
+        self._drive.kill()
+        self._drive.wait()
+        took = _until("trips", lambda: self._status()["trip"])
+        _until("a file of the trip", lambda: any(path.is_file() for path in _STATE.rglob("*")))
+        return {"trip_s": took, "code": self._status()["trip"]["code"]}
+
+    def remove(self) -> Figures:
+        """Remove it while the service runs: stopped, not enabled, and only what the operator made stays."""
+        begun = time.monotonic()
+        run("dpkg", "--remove", "twostage-servo")
+        took = time.monotonic() - begun
+        check(attempt("systemctl", "is-active", UNIT).stdout.strip() == "inactive", "is stopped")
+        gone = (OPT, _PROGRAM, Path(f"/etc/systemd/system/multi-user.target.wants/{UNIT}"))
+        left = [str(path) for path in gone if os.path.lexists(path)]
+        check(not left, "program and link are gone", left=left)
+        check((CONFIGURATION / "servo.toml").exists() and _STATE.exists(), "configuration and trips stay")
+        return {"remove_s": took}
+
+    def purge(self) -> Figures:
+        """Purge it: every file is as before, also those of the accounts."""
+        begun = time.monotonic()
+        run("dpkg", "--purge", "twostage-servo")
+        took = time.monotonic() - begun
+        left = differences(self._fresh, inventory())
+        check(not left, "no file is left, and none has changed", **left)
+        check(not attempt("dpkg-query", "--show", "twostage-servo").stdout.strip(), "dpkg has forgotten it")
+        return {"purge_s": took, "files_left": 0}
+
+    def close(self) -> None:
+        """End the drive, if it still runs."""
+        if self._drive is not None:
+            self._drive.kill()
+            self._drive.wait()
+
+    def _operate(self, *arguments: str) -> Figures:
+        out = run("runuser", "-u", _OPERATOR, "--", str(_PROGRAM), *arguments, "--json")
+        answer: Figures = json.loads(out.splitlines()[-1])
+        return answer
+
+    def _status(self) -> Figures:
+        """Return what the axis shows; the exit code tells of a trip, which may be what is waited for."""
+        told = attempt("runuser", "-u", _OPERATOR, "--", str(_PROGRAM), "status", "--json").stdout
+        shown: Figures = json.loads(told.splitlines()[-1])
+        return shown
+
+    def _is_disarmed(self) -> None:
+        def holds() -> bool:
+            shown = self._status()["axis"]
+            return shown["state"] == "disarmed" and shown["position"] is not None
+
+        _until("is disarmed and hears its drive", holds)
+
+    def _is_at_rest(self, enabled: str) -> None:
+        for verb, expected in (("is-active", "inactive"), ("is-enabled", enabled)):
+            told = attempt("systemctl", verb, UNIT).stdout.strip()
+            check(told == expected, f"`systemctl {verb}` says {expected}", told=told)
+
+
+def _link(channel: str) -> Figures:
+    shown: Figures = json.loads(run("ip", "-details", "-json", "link", "show", channel))[0]
+    return shown
+
+
+def _until(what: str, holds: Callable[[], object], longest_s: float = 60.0) -> float:
+    """Wait until something holds; return how long that took, s."""
+    begun = time.monotonic()
+    while True:
+        with contextlib.suppress(KeyError):  # of an answer that says that there is none yet
+            if holds():
+                return time.monotonic() - begun
+        check(time.monotonic() - begun < longest_s, f"not within {longest_s:g} s: {what}")
+        time.sleep(0.5)
+
+
+def main() -> int:
+    """Go through the steps; the first that fails ends it."""
+    results: dict[str, Figures] = {}
+    error = None
+    with contextlib.closing(Trial(Path(sys.argv[1]))) as trial:
+        for step in trial.steps:
+            begun = time.monotonic()
+            name = step.__name__
+            try:
+                figures = step()
+            except Exception as caught:  # noqa: BLE001 - whatever it is, it is to be told
+                error = f"{name}: {type(caught).__name__}: {caught}"
+                print(f"FAILED  {error}", flush=True)
+                print(attempt("journalctl", "--no-pager", "--lines=40", f"--unit={UNIT}").stdout, flush=True)
+                break
+            results[name] = {
+                key: round(value, 3) if isinstance(value, float) else value for key, value in figures.items()
+            }
+            shown = ", ".join(f"{key} {value}" for key, value in results[name].items())
+            print(f"ok  {name}, {time.monotonic() - begun:.1f} s  {shown}", flush=True)
+    print(json.dumps({"ok": error is None, "error": error, "steps": results}), flush=True)
+    return 0 if error is None else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
