@@ -21,6 +21,7 @@ from tests.service.operators import connect, serve
 from tests.service.rig import World, simulate
 from twostage_servo.service.address import find_socket, own_socket, prepare_folder
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, encode_in_pieces
+from twostage_servo.service.recorder import Recorder
 from twostage_servo.service.requests import Request
 
 
@@ -310,5 +311,10 @@ def test_a_long_recording_is_sent_in_pieces() -> None:
     assert b"".join(pieces).count(b"\n") == 1
 
 
+def test_the_recording_of_no_tick_yet_is_an_empty_one() -> None:
+    answer = {"ok": True, "fields": ["tick"], "records": Recorder(5).records()}
+    assert b"".join(encode_in_pieces(answer)) == b'{"ok":true,"fields":["tick"],"records":[]}\n'
+
+
 def test_an_answer_without_records_is_one_piece() -> None:
-    assert list(encode_in_pieces({"ok": True, "records": ()})) == [b'{"ok":true,"records":[]}\n']
+    assert list(encode_in_pieces({"ok": True})) == [b'{"ok":true}\n']

@@ -125,7 +125,7 @@ class ControlSocket:
                     client.busy = True
                     client.send(next(pieces))
                 await self._let_others_go(writer)
-                is_long = bool(answer.get("records"))
+                is_long = "records" in answer
                 while is_long:
                     async with self._service.turns.turn():
                         is_long = bool(piece := next(pieces, b""))
@@ -216,10 +216,10 @@ def encode(answer: Answer) -> bytes:
 
 def encode_in_pieces(answer: Answer) -> Iterator[bytes]:
     """Yield the same line in pieces of less than a millisecond's work each: a recording may hold thousands of ticks."""
-    records = answer.get("records")
-    if not records:
+    if "records" not in answer:
         yield encode(answer)
         return
+    records = answer["records"]
     head = {key: value for key, value in answer.items() if key != "records"}
     yield encode(head).removesuffix(b"}\n") + b',"records":['
     for start in range(0, len(records), _RECORDS_A_PIECE):
