@@ -438,12 +438,17 @@ def test_a_quick_stop_on_request_holds_and_does_not_latch() -> None:
 # What a review found -------------------------------------------------------------------------------------------------
 
 
-def test_asking_for_the_stop_again_and_again_does_not_keep_it_from_being_given_up() -> None:
-    """The service disarms on every tick while it ends; a drive that keeps its effort is disabled all the same."""
+@pytest.mark.parametrize("quick", [None, False, True])
+def test_asking_for_the_stop_again_and_again_does_not_keep_it_from_being_given_up(*, quick: bool | None) -> None:
+    """The service disarms on every tick while it ends, and somebody may hold a key down that stops; a drive that keeps
+    its effort is disabled all the same.
+    """
     rig = rig_with(innovation=1e3, overspeed=1e6).cruising(2000.0, 100.0)
     kept = rig.commands[-1].effort
     for _ in range(300):
         rig.axis.disarm()
+        if quick is not None:
+            rig.axis.stop(quick=quick)
         rig.load = rig.commands[-1].effort - kept
         rig.tick()
         if rig.axis.trip is not None:

@@ -79,6 +79,7 @@ class Machine:
         self._ticks_arming = 0
         self._disabled_ticks = 0
         self._jog_ticks_left = 0
+        self._deceleration = 0.0  # of the present braking, or the latest
         self._arming_ticks = design.ticks(self.settings.arming_timeout_ms)
         self._jog_ticks = design.ticks(self.settings.jog_timeout_ms)
 
@@ -299,6 +300,7 @@ class Machine:
 
     def _brake(self, deceleration: float, outcome: str, reason: str | None = None) -> None:
         self._end_move(outcome, reason)
+        self._deceleration = deceleration
         self.motion.stop(deceleration)
         self.supervision.begin_braking(deceleration)
 
