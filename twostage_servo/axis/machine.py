@@ -210,7 +210,8 @@ class Machine:
 
     def _arm_when_enabled(self) -> None:
         self._ticks_arming += 1
-        if self.drive.enabled is not False and self.drive.fresh and self._ticks_arming > 1:
+        ready = self.drive.enabled is not False and self.drive.fresh and self._ticks_arming > 1
+        if ready and self.motion.knows_speed:
             self.motion.start()
             self.supervision.start()
             self.move = self._final_target = None
