@@ -171,6 +171,7 @@ class Motion:
         """Give up the whole estimate: what counts the wrong way says nothing of the speed, so nothing can brake it."""
         self.blind = True
         self.law.observer.reset(self.law.observer.position)
+        self.law.speed_reference = 0.0  # also where a stop by that estimate has begun
 
     @property
     def recent_way(self) -> float:
