@@ -273,6 +273,7 @@ class Machine:
             return
         if self._final_target is not None and self.move is not None:
             target, self._final_target = self._final_target, None
+            self.supervision.begin_move()  # it has come to rest here
             self._begin_leg(target, self.move.velocity)
             return
         self.supervision.forget_move()
@@ -308,7 +309,10 @@ class Machine:
     def _set_target(self, target: float, velocity: float) -> None:
         self._heading = target - self.law.observer.position
         self.motion.set_target(target, velocity)
-        self.supervision.begin_move()
+        if self.state in COMMANDED:
+            self.supervision.change_move()
+        else:
+            self.supervision.begin_move()
 
     def _begin_leg(self, target: float, velocity: float) -> None:
         """Set out for a set-point, by whichever stage the law begins with."""
