@@ -173,6 +173,18 @@ def test_a_lost_frame_is_an_error_and_so_many_trip_to_the_frame() -> None:
     assert (trip_of(rig), lost) == (TripCode.FEEDBACK_ERRORS, 25)
 
 
+@pytest.mark.parametrize(("every", "trips"), [(2, True), (4, True), (5, False)])
+def test_an_encoder_that_spikes_again_and_again_trips_by_its_errors(every: int, *, trips: bool) -> None:
+    """Never two in a row, so each is bridged; 25 in 100 ticks are too many, 20 are not."""
+    rig = rig_of().cruising(2000.0)
+    number = itertools.count(1)
+    rig.sees = lambda position: position + (30.0 if next(number) % every == 0 else 0.0)
+    rig.seconds(3.0)
+    assert trip_of(rig) is (TripCode.FEEDBACK_ERRORS if trips else None)
+    if not trips:
+        assert rig.velocity == pytest.approx(100.0, abs=1.0)
+
+
 def test_one_frame_in_five_lost_is_bridged_for_good() -> None:
     rig = rig_of().cruising(400.0)
     for index in range(1000):

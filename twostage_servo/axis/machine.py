@@ -227,8 +227,10 @@ class Machine:
 
     def _drive(self) -> Command:
         law = self.law
-        changeovers = law.changeovers
+        changeovers, implausible = law.changeovers, self.motion.implausible
         effort = self.motion.step()
+        if self.motion.implausible > implausible:
+            self.drive.monitor.doubt()
         if not self.motion.finite:
             self.raise_trip(TripCode.NOT_FINITE, f"the law gives effort {effort} at position {law.observer.position:g}")
             self.motion.lose_track()
