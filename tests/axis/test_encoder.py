@@ -173,6 +173,18 @@ def test_a_lost_frame_is_an_error_and_so_many_trip_to_the_frame() -> None:
     assert (trip_of(rig), lost) == (TripCode.FEEDBACK_ERRORS, 25)
 
 
+@pytest.mark.parametrize(("every", "trips"), [(2, True), (4, True), (5, False)])
+def test_an_encoder_that_spikes_again_and_again_trips_by_its_errors(every: int, *, trips: bool) -> None:
+    """Never two in a row, so each is bridged; 25 in 100 ticks are too many, 20 are not."""
+    rig = rig_of().cruising(2000.0)
+    number = itertools.count(1)
+    rig.sees = lambda position: position + (30.0 if next(number) % every == 0 else 0.0)
+    rig.seconds(3.0)
+    assert trip_of(rig) is (TripCode.FEEDBACK_ERRORS if trips else None)
+    if not trips:
+        assert rig.velocity == pytest.approx(100.0, abs=1.0)
+
+
 def test_one_frame_in_five_lost_is_bridged_for_good() -> None:
     rig = rig_of().cruising(400.0)
     for index in range(1000):
@@ -242,14 +254,21 @@ def test_an_encoder_that_turns_round_in_a_cruise_is_noticed_within_5_mm(velocity
     assert abs(rig.position - place) < 7.0
 
 
-def test_an_axis_held_fast_is_jammed_though_its_encoder_trembles() -> None:
-    """By 4 of its steps, as on an elastic coupling: hardly any motion, much effort; the force has to stay small."""
+@pytest.mark.parametrize("asked", ["once", "in each tick", "by jogging"])
+def test_an_axis_held_fast_is_jammed_though_its_encoder_trembles(asked: str) -> None:
+    """By 4 of its steps, as on an elastic coupling: hardly any motion, much effort; the force has to stay small, also
+    where a client sends another set-point, or another speed, in each tick.
+    """
     rig = rig_of().armed()
     rig.plant = Plant(1e-9, 1e3)
     tremble = itertools.cycle([0.004, -0.004, 0.004, 0.0])
     rig.sees = lambda position: position + next(tremble)
-    rig.axis.move_to(400.0, 100.0)
-    rig.seconds(1.0)
+    for tick in range(100):
+        if rig.axis.trip is None and asked == "by jogging":
+            rig.axis.jog(100.0 - 0.01 * tick)
+        elif rig.axis.trip is None and (asked == "in each tick" or tick == 0):
+            rig.axis.move_to(400.0 + 0.01 * tick, 100.0)
+        rig.tick()
     assert trip_of(rig) is TripCode.JAM
     assert max(abs(command.effort) for command in rig.commands) < 12.0
 

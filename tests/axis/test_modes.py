@@ -16,6 +16,7 @@ from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.messages import Feedback, Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.control.plant import Plant
 
 SEARCH = {"velocity": 40.0, "slow_velocity": 5.0, "travel": 300.0, "position": 12.0}
 
@@ -419,3 +420,35 @@ def test_an_answer_is_not_replaced_by_what_the_drive_reports_unasked() -> None:
     report.begin_tick(0)
     report.take(Feedback(3.0, 3, unasked=True))
     assert report.position == 3.0
+
+
+@pytest.mark.parametrize("seen", ["for the first time", "knocked just now"])
+def test_saying_where_the_axis_is_makes_no_speed(seen: str) -> None:
+    """The sample before counts from the new origin as well."""
+    rig = AxisRig()
+    if seen == "knocked just now":
+        rig.seconds(0.1)
+        rig.position = rig.sample = 5.0
+    rig.tick()
+    rig.axis.set_position(1000.0)
+    for _ in range(5):
+        rig.tick()
+        assert rig.axis.law.observer.velocity == 0.0
+    assert rig.axis.law.observer.position == pytest.approx(1000.0)
+
+
+@pytest.mark.parametrize("missed", [1, 2])
+def test_a_coasting_axis_is_armed_only_when_its_speed_is_known(missed: int) -> None:
+    """Ticks that were missed let the tracking begin anew, and one sample says nothing of the speed."""
+    rig = AxisRig().seconds(0.1)
+    rig.plant = Plant(180.0, 2.0)
+    rig.velocity = 60.0
+    rig.seconds(0.05)
+    rig.axis.arm()
+    rig.tick()
+    rig.tick(missed)
+    assert rig.state() is State.ARMING
+    rig.tick()
+    assert rig.state() is State.STOPPING
+    rig.seconds(1.0)
+    assert (rig.state(), rig.axis.trip, rig.axis.referenced) == (State.HOLDING, None, True)

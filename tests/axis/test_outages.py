@@ -106,3 +106,36 @@ def test_a_suspension_while_disarmed_starts_the_estimate_afresh() -> None:
     rig.seconds(0.05)
     assert rig.axis.law.observer.velocity == pytest.approx(0.0, abs=1e-9)
     assert arms_and_stays(rig)
+
+
+@pytest.mark.parametrize("speed", [OVERSPEED, -OVERSPEED])
+@pytest.mark.parametrize("lost", [2, 7, 8, 9])
+@pytest.mark.parametrize("surprise", ["not seen before", "knocked"])
+def test_frames_lost_behind_the_first_one_do_not_make_it_look_quicker(surprise: str, lost: int, speed: float) -> None:
+    """Two samples say how fast the axis is, and they may be some ticks apart: a speed ten times too large would lead
+    the estimate into the next round of the counter within two ticks.
+    """
+    axis = Axis(design_axis(axis_settings(stale_feedback_ms=100.0), PERIOD_S), 16, position_period=NARROW)
+    rig = AxisRig(axis)
+    rig.sees = rolling(NARROW).sees
+
+    def carried(ticks: int, *, silent: bool = False) -> None:
+        rig.silent = silent
+        for _ in range(ticks):
+            rig.velocity = 0.0
+            rig.tick()
+            rig.position += speed * PERIOD_S
+            rig.sample = rig.sees(rig.position)
+        rig.silent = False
+
+    carried(10)
+    if surprise == "knocked":
+        rig.position += 1.0
+        rig.sample = rig.sees(rig.position)
+    else:
+        axis.motion.lose_track()
+    carried(1)
+    carried(lost, silent=True)
+    carried(12)
+    assert axis.referenced
+    assert axis.drive.position == pytest.approx(rig.position - speed * PERIOD_S, abs=1e-6)

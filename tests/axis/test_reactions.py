@@ -438,12 +438,17 @@ def test_a_quick_stop_on_request_holds_and_does_not_latch() -> None:
 # What a review found -------------------------------------------------------------------------------------------------
 
 
-def test_asking_for_the_stop_again_and_again_does_not_keep_it_from_being_given_up() -> None:
-    """The service disarms on every tick while it ends; a drive that keeps its effort is disabled all the same."""
+@pytest.mark.parametrize("quick", [None, False, True])
+def test_asking_for_the_stop_again_and_again_does_not_keep_it_from_being_given_up(*, quick: bool | None) -> None:
+    """The service disarms on every tick while it ends, and somebody may hold a key down that stops; a drive that keeps
+    its effort is disabled all the same.
+    """
     rig = rig_with(innovation=1e3, overspeed=1e6).cruising(2000.0, 100.0)
     kept = rig.commands[-1].effort
     for _ in range(300):
         rig.axis.disarm()
+        if quick is not None:
+            rig.axis.stop(quick=quick)
         rig.load = rig.commands[-1].effort - kept
         rig.tick()
         if rig.axis.trip is not None:
@@ -475,3 +480,17 @@ def test_an_effort_that_is_no_number_trips_in_its_tick_whatever_it_comes_from() 
     assert rig.tick() == NO_EFFORT
     assert rig.axis.trip is not None
     assert rig.axis.trip.code is TripCode.NOT_FINITE
+
+
+@pytest.mark.parametrize("first", [TripCode.JAM, TripCode.POSITION_LIMIT, None])
+def test_a_reversed_sign_takes_the_effort_away_whatever_has_tripped_in_the_same_tick(first: TripCode | None) -> None:
+    """A quick stop by an estimate that counts the wrong way would push."""
+    rig = AxisRig().cruising(2000.0, 30.0)
+    kept = abs(rig.commands[-1].effort)
+    if first is not None:
+        rig.axis.raise_trip(first, "test")
+    rig.axis.raise_trip(TripCode.SIGN_REVERSED, "test")
+    while rig.state() is not State.TRIPPED:
+        effort = abs(rig.tick().effort)
+        assert effort < kept
+        kept = effort

@@ -28,14 +28,15 @@ def test_what_is_continued_from_another_has_not_been_surprised_itself() -> None:
     assert (observer.position, observer.velocity, observer.disturbance, observer.innovation) == (0.0, 0.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("periods", [1, 2, 9])
 @pytest.mark.parametrize("speed", [100.0, -3.0])
-def test_two_samples_of_a_free_motion_predict_the_third(speed: float) -> None:
+def test_two_samples_of_a_free_motion_predict_the_third(speed: float, periods: int) -> None:
     """Without effort the plant goes on by ``a12 v`` and keeps ``a22`` of its speed in each period."""
-    first = 50.0
-    second = first + PLANT.a12 * speed
-    third = second + PLANT.a12 * PLANT.a22 * speed
+    places = [50.0]
+    for period in range(periods + 1):
+        places.append(places[-1] + PLANT.a12 * PLANT.a22**period * speed)
     observer = one_that_has_seen_something()
-    observer.start_moving(first, second)
-    assert observer.position == pytest.approx(third, rel=1e-12)
-    assert observer.velocity == pytest.approx(PLANT.a22**2 * speed, rel=1e-9)
+    observer.start_moving(places[0], places[periods], periods)
+    assert observer.position == pytest.approx(places[periods + 1], rel=1e-12)
+    assert observer.velocity == pytest.approx(PLANT.a22 ** (periods + 1) * speed, rel=1e-9)
     assert (observer.disturbance, observer.innovation) == (0.0, 0.0)

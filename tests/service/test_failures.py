@@ -117,15 +117,21 @@ def test_commands_that_cannot_be_made_any_more_leave_the_stop_to_the_drive(monke
     simulate(script)
 
 
-def test_a_publisher_that_fails_for_good_does_not_spoil_the_stop() -> None:
+@pytest.mark.parametrize("where", ["publisher", "after the tick"])
+def test_a_publisher_that_fails_for_good_does_not_spoil_the_stop(where: str) -> None:
+    """Nor does what is done in the idle time."""
+
     async def script(world: World) -> None:
         await world.cruising()
         position = world.drive.position
 
-        def broken(_: object) -> None:
+        def broken(*_: object) -> None:
             raise DefectError("for good")
 
-        world.service.publishers.append(broken)
+        if where == "publisher":
+            world.service.publishers.append(broken)
+        else:
+            world.service.after_tick = broken
         with pytest.raises(DefectError):
             await world.serving
         assert QUICK_STOP_DISTANCE < world.drive.position - position < QUICK_STOP_DISTANCE + 4.0

@@ -221,6 +221,49 @@ def test_when_one_trips_the_others_do_as_the_machine_says(tmp_path: Path, reacti
     operate(path, script)
 
 
+@pytest.mark.parametrize("state", [State.ARMING, State.HOLDING])
+def test_an_axis_that_is_disarmed_for_another_gets_no_effort_from_that_tick_on(tmp_path: Path, state: State) -> None:
+    pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
+    path = machine_file(tmp_path, pages, 'when_one_trips = "disarm"\n')
+
+    async def script(plant: Plant) -> None:
+        station = plant.service.station("y")
+        await plant.armed()
+        plant.drives["y"].change(asyncio.get_running_loop().time(), load=-2.0)
+        await plant.until(lambda: abs(station.command.effort) > 1.0)
+        await asyncio.sleep(1.0)
+        if state is State.ARMING:
+            plant.ask(op="disarm", axis="y")
+            plant.drives["y"].change(asyncio.get_running_loop().time(), load=0.0)
+            await plant.until(lambda: plant.axis("y").ready_to_arm)
+            plant.ask(op="arm", axis="y")
+        assert plant.axis("y").state is state
+        plant.axis("x").raise_trip(TripCode.FOLLOWING_ERROR, "test")
+        await asyncio.sleep(0.2)
+        assert plant.states() == [State.TRIPPED, State.DISARMED]
+        disarmed = [record for record in list(station.recorder.records())[-30:] if record.state is State.DISARMED]
+        assert len(disarmed) > 10
+        assert all(record.effort == 0.0 for record in disarmed)
+
+    operate(path, script)
+
+
+def test_a_quick_stop_for_another_axis_hardens_a_stop_that_is_under_way(tmp_path: Path) -> None:
+    pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
+    path = machine_file(tmp_path, pages, 'when_one_trips = "quick_stop"\n')
+
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        plant.ask(op="move", positions={"x": 400.0, "y": 400.0})
+        await asyncio.sleep(1.5)
+        plant.ask(op="stop", axis="y")
+        plant.axis("x").raise_trip(TripCode.FOLLOWING_ERROR, "test")
+        await asyncio.sleep(0.02)
+        assert plant.axis("y").state is State.QUICK_STOPPING
+
+    operate(path, script)
+
+
 def test_a_bus_that_fails_trips_the_axes_on_it_and_no_others(tmp_path: Path) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1), "z": axis_page("z", "can1")}
     path = machine_file(tmp_path, pages, 'when_one_trips = "continue"\n')

@@ -187,9 +187,10 @@ class Axis(Machine):
         self._admission.check_state(self.state, event, self.trip)
         before = self.state
         self._apply(event)
-        harder = quick and before is State.DISARMING
+        limits = self.settings.limits
+        # Only once: each braking that begins is given its time anew.
+        harder = quick and before is State.DISARMING and self._deceleration < limits.quick_stop_deceleration
         if harder or (self.state in BRAKING and self.state is not before):
-            limits = self.settings.limits
             self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
 
     @property

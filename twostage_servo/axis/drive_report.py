@@ -238,8 +238,8 @@ class DriveReport:
             yield (
                 TripCode.FEEDBACK_ERRORS,
                 (
-                    f"{errors} feedback frames were lost, corrupted, repeated or overtaken in the last {WINDOW_TICKS} "
-                    f"ticks; axis.limits.feedback_errors is {limits.feedback_errors}"
+                    f"{errors} feedback frames were lost, corrupted, repeated, overtaken or implausible in the last "
+                    f"{WINDOW_TICKS} ticks; axis.limits.feedback_errors is {limits.feedback_errors}"
                 ),
             )
 

@@ -55,7 +55,7 @@ class FeedbackMonitor:
 
     @property
     def recent_errors(self) -> int:
-        """Frames lost, repeated, overtaken or rejected in the last :data:`WINDOW_TICKS` ticks, this one included."""
+        """Frames lost, repeated, overtaken, rejected or not believed in the last :data:`WINDOW_TICKS` ticks and now."""
         return self._errors + self._errors_now
 
     def accept(self, counter: int | None) -> bool:
@@ -88,6 +88,10 @@ class FeedbackMonitor:
         """Count a frame that could not be used: a wrong checksum or length, or a reserved value."""
         self.rejected += 1
         self._rejected_since += 1
+        self._errors_now += 1
+
+    def doubt(self) -> None:
+        """Count a sample that was new and whole, but not to be believed."""
         self._errors_now += 1
 
     def forget(self) -> None:

@@ -79,6 +79,7 @@ class Machine:
         self._ticks_arming = 0
         self._disabled_ticks = 0
         self._jog_ticks_left = 0
+        self._deceleration = 0.0  # of the present braking, or the latest
         self._arming_ticks = design.ticks(self.settings.arming_timeout_ms)
         self._jog_ticks = design.ticks(self.settings.jog_timeout_ms)
 
@@ -209,7 +210,8 @@ class Machine:
 
     def _arm_when_enabled(self) -> None:
         self._ticks_arming += 1
-        if self.drive.enabled is not False and self.drive.fresh and self._ticks_arming > 1:
+        ready = self.drive.enabled is not False and self.drive.fresh and self._ticks_arming > 1
+        if ready and self.motion.knows_speed:
             self.motion.start()
             self.supervision.start()
             self.move = self._final_target = None
@@ -225,8 +227,10 @@ class Machine:
 
     def _drive(self) -> Command:
         law = self.law
-        changeovers = law.changeovers
+        changeovers, implausible = law.changeovers, self.motion.implausible
         effort = self.motion.step()
+        if self.motion.implausible > implausible:
+            self.drive.monitor.doubt()
         if not self.motion.finite:
             self.raise_trip(TripCode.NOT_FINITE, f"the law gives effort {effort} at position {law.observer.position:g}")
             self.motion.lose_track()
@@ -271,6 +275,7 @@ class Machine:
             return
         if self._final_target is not None and self.move is not None:
             target, self._final_target = self._final_target, None
+            self.supervision.begin_move()  # it has come to rest here
             self._begin_leg(target, self.move.velocity)
             return
         self.supervision.forget_move()
@@ -299,13 +304,17 @@ class Machine:
 
     def _brake(self, deceleration: float, outcome: str, reason: str | None = None) -> None:
         self._end_move(outcome, reason)
+        self._deceleration = deceleration
         self.motion.stop(deceleration)
         self.supervision.begin_braking(deceleration)
 
     def _set_target(self, target: float, velocity: float) -> None:
         self._heading = target - self.law.observer.position
         self.motion.set_target(target, velocity)
-        self.supervision.begin_move()
+        if self.state in COMMANDED:
+            self.supervision.change_move()
+        else:
+            self.supervision.begin_move()
 
     def _begin_leg(self, target: float, velocity: float) -> None:
         """Set out for a set-point, by whichever stage the law begins with."""

@@ -61,7 +61,8 @@ class Motion:
         self._missed = 0
         self._samples_tracked = 0
         self._tracked = 0.0  # the last sample while tracking
-        self._outlier: float | None = None  # the one before, if it was not where the model expects it
+        self._ticks_since_tracked = 0
+        self._was_outlier = False  # whether it was not where the model expects it
         self._speed_of_late = 0.0
         self._effort = 0.0  # what acts, also while the law does not run
         self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
@@ -74,7 +75,7 @@ class Motion:
         self.nominal.continue_from(self.law)
         self.model_test.start(self.law.observer)
         self._speed_of_late = 0.0
-        self._outlier = None
+        self._was_outlier = False
         self.blind = False
         self.implausible = 0
         self.unchanged_effort = 0.0
@@ -96,6 +97,7 @@ class Motion:
         self.law.shift(distance)
         self.nominal.shift(distance)
         self.model_test.shift(distance)
+        self._tracked += distance
         self._unchanged = None
         self._recent.clear()
 
@@ -136,6 +138,7 @@ class Motion:
         self._effort = 0.0
         # Not dated: by the speed, which is what the samples have to tell in the first place.
         position = self._drive.position if self._drive.fresh else None
+        self._ticks_since_tracked += 1
         if self._drive.is_stale or self.blind:
             self.lose_track()
             self.blind = False
@@ -146,23 +149,29 @@ class Motion:
             self._tracking, self._samples_tracked = True, 1
         elif self._samples_tracked > 1 and abs(position - observer.position) <= self.innovation_limit:
             observer.update(position, effort)
-            self._outlier = None
-        elif self._samples_tracked > 1 and self._outlier is None:
+            self._was_outlier = False
+        elif self._samples_tracked > 1 and not self._was_outlier:
             observer.predict(effort)  # one is a spike
-            self._outlier = position
+            self._was_outlier = True
         else:
             # An axis that moves when it is first seen, or is knocked: two samples say how fast.
-            before = self._tracked if self._outlier is None else self._outlier
-            observer.start_moving(position - self._drive.step(before, position), position)
+            before = position - self._drive.step(self._tracked, position)
+            observer.start_moving(before, position, self._ticks_since_tracked)
             self._samples_tracked += 1
-            self._outlier = None
+            self._was_outlier = False
         if position is not None:
-            self._tracked = position
+            self._tracked, self._ticks_since_tracked = position, 0
+
+    @property
+    def knows_speed(self) -> bool:
+        """Whether enough samples have been seen in a row to say how fast the axis goes."""
+        return self._tracking and self._samples_tracked > 1
 
     def distrust(self) -> None:
         """Give up the whole estimate: what counts the wrong way says nothing of the speed, so nothing can brake it."""
         self.blind = True
         self.law.observer.reset(self.law.observer.position)
+        self.law.speed_reference = 0.0  # also where a stop by that estimate has begun
 
     @property
     def recent_way(self) -> float:
@@ -173,7 +182,7 @@ class Motion:
     def lose_track(self) -> None:
         """Start the observer afresh at the next sample: what it holds is not to be built on."""
         self._tracking = False
-        self._outlier = None
+        self._was_outlier = False
 
     @property
     def innovation_limit(self) -> float:

@@ -118,7 +118,8 @@ class LimitSettings(Settings):
     )
     feedback_errors: int = quantity(
         unit="frames",
-        description="Frames lost, corrupted, repeated or overtaken in the last 100 ticks at which an armed axis trips",
+        description="Frames lost, corrupted, repeated, overtaken or implausible in the last 100 ticks, at which an "
+        "armed axis trips",
         ge=1,
         le=100,
     )

@@ -73,9 +73,13 @@ class Supervision:
         self._speed_of_move = 0.0
 
     def begin_move(self) -> None:
-        """Begin to wait for the position window anew, and to compare the effort with that of now."""
-        self._ticks_in_window = 0
+        """Begin a move from rest: wait for the position window, and compare the effort with that of now."""
+        self.change_move()
         self._effort_before = self._motion.law.effort
+
+    def change_move(self) -> None:
+        """Begin to wait for the position window anew: the set-point is another one, in mid-move."""
+        self._ticks_in_window = 0
 
     def begin_braking(self, deceleration: float) -> None:
         """Begin to wait for the axis to come to rest with a deceleration in axis unit/s²."""

@@ -132,12 +132,14 @@ class DisturbanceObserver:
         self.disturbance = 0.0
         self.innovation = 0.0
 
-    def start_moving(self, before: float, sample: float) -> None:
-        """Start afresh from two samples (axis unit) a period apart, undisturbed and without effort, at their speed.
+    def start_moving(self, before: float, sample: float, periods: int = 1) -> None:
+        """Start afresh from two samples (axis unit) some periods apart, undisturbed and without effort, at their speed.
 
-        With ``v0 = (y1 - y0) / a12`` the model gives position and velocity a period after the second one.
+        In n periods the plant goes ``a12 v0 (1 + a22 + ... + a22^(n-1))`` and keeps ``a22^n v0``; from there the model
+        gives position and velocity a period after the second sample.
         """
-        velocity = self._a22 * (sample - before) / self._a12
+        way = self._a12 * sum(self._a22**period for period in range(periods))
+        velocity = self._a22**periods * (sample - before) / way
         self.reset(sample + self._a12 * velocity)
         self.velocity = self._a22 * velocity
 

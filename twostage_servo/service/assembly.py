@@ -85,7 +85,7 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: floa
     ConfigError
         If no law can be designed from the settings.
     """
-    _check_encoder(loaded, profile)
+    _check_encoder(loaded, profile, tick_s)
     try:
         return Axis(
             design(loaded, tick_s),
@@ -98,17 +98,20 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: floa
         raise loaded.problem(error.key, str(error)) from error
 
 
-def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile) -> None:
+def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: float) -> None:
     limits, unit = loaded.config.axis.limits, loaded.config.axis.unit
     travel = limits.position_maximum - limits.position_minimum + 2.0 * limits.position_overrun
     half = 0.5 * profile.position_period
-    gone = 1e-3 * limits.overspeed * limits.stale_feedback_ms
+    # Ticks may be missed while a frame is due, and neither limit is reached.
+    missed_ms = 1e3 * tick_s * limits.missed_ticks
+    gone = 1e-3 * limits.overspeed * (limits.stale_feedback_ms + missed_ms)
     if 0.0 < half <= min(travel, gone):
         raise loaded.problem(
             ("axis", "limits", "stale_feedback_ms"),
-            f"in {limits.stale_feedback_ms:g} ms without feedback the axis can go {gone:g} {unit} (limits.overspeed), "
-            f"which is not less than half of the {profile.position_period:g} {unit} after which its encoder comes "
-            f"round to the same count: allow less than {1e3 * half / limits.overspeed:.4g} ms",
+            f"in {limits.stale_feedback_ms:g} ms without feedback, and {missed_ms:g} ms of limits.missed_ticks, the "
+            f"axis can go {gone:g} {unit} (limits.overspeed), which is not less than half of the "
+            f"{profile.position_period:g} {unit} after which its encoder comes round to the same count: allow less "
+            f"than {1e3 * half / limits.overspeed:.4g} ms for both",
         )
 
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Literal
 
 import structlog
 
-from twostage_servo.axis.state import COMMANDED, DRIVEN, LATCHED
+from twostage_servo.axis.state import BRAKING, COMMANDED, ENABLED, LATCHED
 from twostage_servo.service.station import Station
 
 if TYPE_CHECKING:
@@ -40,13 +40,14 @@ class Group:
                 self._stop_others(station, stations)
 
     def _stop_others(self, tripped: Station, stations: Sequence[Station]) -> None:
+        quick = self._reaction == "quick_stop"
         for other in stations:
             axis = other.axis
-            if other is tripped or axis.state in LATCHED or axis.state not in DRIVEN:
+            if other is tripped or axis.state in LATCHED or axis.state not in ENABLED:
                 continue
             reason = f"{tripped.name} has tripped (machine.when_one_trips is {self._reaction})"
             self._log.warning("another axis has tripped", axis=other.name, tripped=tripped.name, now=self._reaction)
             if self._reaction == "disarm":
                 axis.disarm()
-            elif axis.state in COMMANDED:
-                axis.stop(reason, quick=self._reaction == "quick_stop")
+            elif axis.state in COMMANDED or (quick and axis.state in BRAKING):
+                axis.stop(reason, quick=quick)

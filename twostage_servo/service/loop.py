@@ -125,7 +125,10 @@ class ServoService:
                 self.statistics.end(begun_s, read_s, updated_s, held_s, written_s, ended_s)
                 self._end_at_rest()
                 if self.after_tick is not None:
-                    self.after_tick(tick, ended_s)
+                    try:
+                        self.after_tick(tick, ended_s)
+                    except Exception as error:  # noqa: BLE001 - likewise
+                        self._fail(tick, error, in_control=False)
                 self.turns.open(tick.deadline_s + self.ticks.period_s - self.ticks.margin_s)
         finally:
             self.turns.end()

@@ -8,6 +8,7 @@ import structlog
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import NO_EFFORT, Command
+from twostage_servo.axis.state import ENABLED
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.profile import DriveProfile
 from twostage_servo.service.receiver import Receiver
@@ -95,6 +96,8 @@ class Station:
 
     def make_ready(self) -> None:
         """Pack the newest command, so that nothing but its sending is left."""
+        if self.axis.state not in ENABLED:  # another axis has tripped since this one decided
+            self.command = NO_EFFORT
         self._frame = self._prepared(self.command)
 
     def write(self, tick: Tick) -> None:
