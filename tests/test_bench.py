@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import copy
+import dataclasses
 import importlib.util
 import json
 import sys
@@ -13,8 +14,22 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
-from bench import budgets, client_load, clients, control_step, lateness, loops, packages, run, summary, whole_tick
-from bench.plan import QUICK
+from bench import (
+    budgets,
+    client_load,
+    clients,
+    control_step,
+    frame_jitter,
+    lateness,
+    loops,
+    packages,
+    run,
+    simulated_time,
+    summary,
+    whole_tick,
+)
+from bench.children import ChildError
+from bench.plan import FULL, QUICK
 
 from twostage_servo.simulation.virtual_clock import run as simulate
 
@@ -148,6 +163,32 @@ def test_a_run_without_any_contender_goes_on(monkeypatch: pytest.MonkeyPatch) ->
     assert "not measured: tick_lateness_us_loaded.ours: no ours" in run.as_text(made.result)
 
 
+@pytest.mark.parametrize("measured", [lateness, frame_jitter])
+def test_the_contenders_take_turns_in_both_orders(measured: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measured, "what_is_missing", lambda _: None)
+    order: list[str] = []
+
+    def heard(name: str, *_: object) -> list[float]:
+        order.append(name)
+        return [float(len(order))]
+
+    monkeypatch.setattr(frame_jitter, "_ours", heard)
+    monkeypatch.setattr(frame_jitter, "_other", heard)
+    monkeypatch.setattr(lateness, "json_of", lambda command, *_: {command[4]: heard(command[4])})
+    cyclictest = {"histogram": {"50": 1}, "cycles": 1, "avg": 50.0, "max": 50}
+    monkeypatch.setattr(lateness, "_cyclictest", lambda *_: dict(cyclictest, max=heard("cyclictest")[0]))
+    plan = dataclasses.replace(QUICK, lateness_rounds=2, frame_rounds=2)
+    names = list(measured.CONTENDERS)
+    for backwards, wanted in ((False, names + names[::-1]), (True, names[::-1] + names)):
+        order.clear()
+        arguments = (plan, 0) if measured is lateness else (None, None, plan)
+        figures, missing = measured.measure(*arguments, lambda _: None, backwards=backwards)
+        assert order == wanted
+        assert list(figures) == names
+        assert missing == {}
+    assert FULL.lateness_rounds % 2 == FULL.frame_rounds % 2 == FULL.client_rounds % 2 == 0
+
+
 FIGURES_OF_A_RUN = {
     "tick_lateness_us": {
         "ours": {"p50": 20.0, "p90": 30.0},
@@ -157,21 +198,84 @@ FIGURES_OF_A_RUN = {
     },
     "control_step_us": {"ours": {"p50": 0.9}, "c": {"p50": 0.025}, "numpy": {"p50": 5.0}, "filterpy": {"p50": 60.0}},
     "whole_tick_us": {"1": {"p50": 50.0}},
-    "simulated_seconds_per_second": 50.0,
+    "simulated_tick_cpu_us": 300.0,
     "memory_growth_mb": 0.1,
     "cpu_share": 0.05,
 }
 
 
-def test_a_kept_and_a_broken_budget(capsys: pytest.CaptureFixture[str]) -> None:
-    result = result_of(**copy.deepcopy(FIGURES_OF_A_RUN))
-    assert run.check(result)
-    assert "broken" not in capsys.readouterr().err
-    result["control_step_us"]["ours"]["p50"] = 7.0
-    assert not run.check(result)
+class ToldRun(run.Run):
+    """A run whose steps have been measured: what they are the next times is told."""
+
+    def __init__(self, *steps_us: float) -> None:
+        super().__init__(QUICK, 0, lambda _: None)
+        self.result |= copy.deepcopy(FIGURES_OF_A_RUN)
+        self.steps_us = list(steps_us)
+        self.done: list[str] = []
+
+    def do(self, part: str) -> None:
+        self.done.append(part)
+        if part == "step":
+            self.result["control_step_us"]["ours"]["p50"] = self.steps_us.pop(0)
+
+
+def test_a_kept_budget() -> None:
+    made = ToldRun()
+    assert run.check(made)
+    assert made.done == []
+    assert {budget["state"] for budget in made.result["budgets"]} == {"kept", "not measured"}
+
+
+def test_a_broken_budget_is_measured_anew_before_it_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    made = ToldRun(7.0, 7.0, 0.9, 0.9)
+    made.do("step")
+    assert run.check(made)
     complaint = capsys.readouterr().err
     assert "control_step_us.ours.p50 = 7, wanted is at most 80 x control_step_us.c.p50 = 80 x 0.025 = 2" in complaint
     assert "control_step_us.filterpy.p50 = 60, wanted is at least 12 x control_step_us.ours.p50" in complaint
+    assert made.done == ["step"] * 3
+
+    made = ToldRun(7.0, 7.0, 7.0, 0.9)
+    made.do("step")
+    assert not run.check(made)
+    assert made.done == ["step"] * 3
+    assert {budget["state"] for budget in made.result["budgets"]} == {"kept", "broken", "not measured"}
+
+
+def test_a_figure_of_ours_that_could_not_be_measured_is_no_kept_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = run.Run(QUICK, 0, lambda _: None)
+    monkeypatch.setattr(simulated_time, "measure", lambda *_: (_ for _ in ()).throw(ChildError("it fell over")))
+    made.do("simulation")
+    assert made.result["not_measured"] == {"simulation": "it fell over"}
+    assert not run.check(made)
+
+    monkeypatch.setattr(simulated_time, "measure", lambda *_: {"simulated_tick_cpu_us": 300.0})
+    made.do("simulation")
+    assert made.result["not_measured"] == {}
+    assert not run.check(made)
+
+    measured = {"simulated_tick_cpu_us": 300.0, "memory_growth_mb": 0.1}
+    monkeypatch.setattr(simulated_time, "measure", lambda *_: measured)
+    assert run.check(made)
+
+
+def test_what_is_left_out_breaks_no_budget(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = run.Run(QUICK, 0, lambda _: None)
+    made.do("clients")
+    made.do("millisecond")
+    monkeypatch.setattr(run, "what_is_missing", {"filterpy": "no filterpy"}.get)
+    steps = {"ours": {"p50": 0.9}, "c": {"p50": 0.1}, "numpy": {"p50": 8.0}}
+    monkeypatch.setattr(control_step, "measure", lambda *_: (steps, {"filterpy": "no filterpy"}))
+    made.do("step")
+    assert run.check(made)
+
+
+def test_what_is_added_to_a_bound_is_told() -> None:
+    budget = budgets.Budget("x", "a", at_most=True, factor=1.2, of="b", plus=1.0)
+    assert budgets.judge(budget, {"a": 1.05, "b": 0.05}).state == "kept"
+    verdict = budgets.judge(budget, {"a": 1.07, "b": 0.05})
+    assert verdict.state == "broken"
+    assert verdict.text == "a = 1.07, wanted is at most 1.2 x b + 1 = 1.2 x 0.05 + 1 = 1.06"
 
 
 def test_every_budget_and_goal_names_figures_that_a_run_has() -> None:
@@ -183,7 +287,9 @@ def test_every_budget_and_goal_names_figures_that_a_run_has() -> None:
         assert len(entries) > 5
         for entry in entries:
             for path in filter(None, (entry.figure, entry.of)):
-                assert path.split(".", maxsplit=1)[0] in tables, path
+                table = path.split(".", maxsplit=1)[0]
+                assert table in tables, path
+                assert kind == "goal" or run._PART_OF[table] in run.PARTS
 
 
 def test_the_best_of_the_others_is_the_one_to_beat() -> None:

@@ -9,9 +9,9 @@ from typing import Final, Protocol, Self
 # The loop runs a timer up to its clock resolution early; such a wake-up still belongs to its deadline.
 _EARLY_PERIODS = 1e-6
 
-_LARGEST_LEAD_S: Final = 20e-6
-_LEAD_STEP_S: Final = 50e-9
-"""Cap and step of the time by which a spin ends early, see :meth:`Ticks.begin`."""
+_LEAD_S: Final = 20e-6
+"""By so much the spin of :class:`Ticks` ends early, so that the way from it to the body of the tick, some microseconds,
+is over when the deadline comes; :meth:`Ticks.begin` spins for the rest."""
 
 _STANDING_READS: Final = 1000
 """Equal readings of the clock in a row at which it counts as standing still: a real one moves on with each of them."""
@@ -82,7 +82,7 @@ class Ticks:
         If the period is not finite and greater than 0.
     """
 
-    __slots__ = ("_index", "_lead_s", "_start_s", "_stopped", "_waiter", "margin", "period_s")
+    __slots__ = ("_index", "_start_s", "_stopped", "_waiter", "margin", "period_s")
 
     def __init__(self, period_s: float, start_s: float | None = None, margin: WakeMargin | None = None) -> None:
         if not (math.isfinite(period_s) and period_s > 0):
@@ -91,7 +91,6 @@ class Ticks:
         self.margin = margin
         self._start_s = start_s
         self._index = 0
-        self._lead_s = 0.0
         self._stopped = False
         self._waiter: asyncio.Future[None] | None = None
 
@@ -117,7 +116,7 @@ class Ticks:
             now_s = loop.time()
         else:
             await self._wait_early(loop, deadline_s, self.margin)
-            spin_end_s = deadline_s - self._lead_s
+            spin_end_s = deadline_s - _LEAD_S
             now_s = spin(loop, spin_end_s)
             if now_s < spin_end_s:
                 await self._wait(loop, deadline_s)
@@ -131,18 +130,17 @@ class Ticks:
         return Tick(index, deadline_s, max(0.0, now_s - deadline_s), index - expected)
 
     def begin(self, tick: Tick) -> float:
-        """Stamp a tick as the first thing in its body; return the loop's time in s.
+        """Let the deadline come and stamp the tick, as the first thing in its body; return the loop's time in s.
 
-        From the end of the spin it takes some microseconds until the body runs. How many is learnt here, in steps of
-        50 ns, and the spin ends by as much earlier: the body begins at the deadline, half of the times a little before.
-        A tick that is not stamped has the lateness with which the wait for it ended.
+        With a margin the wait for a tick ends a little early, since it takes some microseconds until the body runs, and
+        never the same: what is left of them is spun away here. A tick that is not begun has the lateness with which the
+        wait for it ended.
         """
-        now_s = asyncio.get_running_loop().time()
-        late_s = now_s - tick.deadline_s
-        tick.lateness_s = max(0.0, late_s)
-        if self.margin is not None and abs(late_s) < _LARGEST_LEAD_S:
-            lead_s = self._lead_s + math.copysign(_LEAD_STEP_S, late_s)
-            self._lead_s = min(max(0.0, lead_s), _LARGEST_LEAD_S)
+        loop = asyncio.get_running_loop()
+        now_s = loop.time()
+        if self.margin is not None and now_s < tick.deadline_s:
+            now_s = spin(loop, tick.deadline_s)
+        tick.lateness_s = max(0.0, now_s - tick.deadline_s)
         return now_s
 
     @property

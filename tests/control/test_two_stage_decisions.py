@@ -104,3 +104,24 @@ def test_the_position_stage_is_entered_however_little_is_left() -> None:
     law.step(None)
     assert law.observer.position == pytest.approx(199.5)
     assert law.stage is Stage.POSITION
+
+
+@pytest.mark.parametrize("target", [0.0, 1e6], ids=["position stage", "speed stage"])
+def test_no_tick_changes_the_effort_by_more_than_its_rate_or_leaves_its_limit(target: float) -> None:
+    """The sum is set so that each tick wants the effort that is given: within both, beyond one, beyond both."""
+    law = TwoStageLaw(
+        DisturbanceObserver(MASS, NO_CORRECTION), GAINS, 0.01,
+        acceleration_limit=0.0, effort_limit=10.0, effort_rate_limit=600.0,
+    )  # fmt: skip
+    law.set_target(target, 100.0)
+    met = []
+    for wanted in (3.0, 8.5, 11.0, 4.5, -1.0, -7.0, 7.0, 20.0, -20.0, -20.0, 5.0, -0.5, -9.0, -10.5, -4.0, 2.0, -2.0):
+        before = law.effort
+        law._sum, law.observer.velocity, law.observer.disturbance = wanted, 0.0, -before
+        effort = law.step(0.0)
+        at_limit = max(-10.0, min(10.0, wanted))
+        assert effort == law.effort == pytest.approx(max(before - 6.0, min(before + 6.0, at_limit)))
+        assert law.saturated is (abs(wanted) > 10.0)
+        assert law._sum == pytest.approx(effort)
+        met.append((law.saturated, effort == pytest.approx(at_limit)))
+    assert set(met) == {(True, True), (True, False), (False, True), (False, False)}

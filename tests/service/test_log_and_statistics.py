@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twostage_servo.service.log import LogWriter, open_log
-from twostage_servo.service.statistics import TimeHistogram
+from twostage_servo.service.statistics import TickStatistics, TimeHistogram
 
 
 @given(values=st.lists(st.floats(1.1e-7, 5.0), min_size=1, max_size=300), percent=st.sampled_from([50.0, 90.0, 99.0]))
@@ -38,6 +38,30 @@ def test_a_lateness_beyond_the_last_bin_is_not_lost() -> None:
     histogram.add(1000.0)
     assert histogram.percentiles_us(50.0)[0] == pytest.approx(1e7)  # the last bin's edge
     assert histogram.largest_us == 1e9
+
+
+@given(values=st.lists(st.floats(0.0, 100.0), max_size=300))
+def test_the_histogram_to_be_drawn_has_each_value_in_the_bin_below_its_edge(values: list[float]) -> None:
+    histogram = TimeHistogram()
+    for value in values:
+        histogram.add(value)
+    shown = histogram.histogram()
+    edges = [edge_us for edge_us, _ in shown]
+    assert edges == sorted(set(edges))
+    assert len(edges) <= 81
+    assert sum(count for _, count in shown) == len(values)
+    for edge_us, _ in shown:
+        up_to = sum(count for other_us, count in shown if other_us <= edge_us)
+        if edge_us < 1e7:  # the last bin holds what is beyond it as well
+            assert sum(1e6 * value < 0.99 * edge_us for value in values) <= up_to
+            assert up_to <= sum(1e6 * value < 1.01 * edge_us for value in values)
+
+
+def test_the_edges_of_the_histogram_are_ten_a_decade() -> None:
+    histogram = TimeHistogram()
+    for time_us in (0.0, 0.11, 0.9, 9.9, 10.1, 12.5, 130.0):
+        histogram.add(1e-6 * time_us)
+    assert histogram.histogram() == [(0.1, 1), (0.126, 1), (1.0, 1), (10.0, 1), (12.6, 2), (158.0, 1)]
 
 
 class StuckStream(io.StringIO):
@@ -111,3 +135,18 @@ def test_a_log_within_a_log_gives_the_outer_one_back() -> None:
     assert not structlog.is_configured()
     assert "inside" in inner_stream.getvalue()
     assert [json.loads(line)["event"] for line in outer_stream.getvalue().splitlines()] == ["outside"]
+
+
+def test_what_the_ticks_were_like_is_told_by_phase_and_as_a_histogram() -> None:
+    statistics = TickStatistics()
+    statistics.begin(3e-6, 0)
+    statistics.end(0.0, 10e-6, 30e-6, 35e-6, 45e-6, 50e-6)
+    statistics.begin(300e-6, 2)
+    statistics.end(0.0, 10e-6, 30e-6, 35e-6, 45e-6, 50e-6)
+    told = json.loads(json.dumps(statistics.summary()))
+    assert (told["count"], told["missed"]) == (2, 2)
+    assert told["lateness_us"]["max"] == 300.0
+    assert told["lateness_histogram"] == [{"up_to_us": 3.16, "ticks": 1}, {"up_to_us": 316.0, "ticks": 1}]
+    assert {name: row["max"] for name, row in told["duration_us"].items()} == {
+        "read": 10.0, "update": 20.0, "hold": 5.0, "write": 10.0, "publish": 5.0, "whole": 50.0,
+    }  # fmt: skip

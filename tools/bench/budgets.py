@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 FILE: Final = Path(__file__).with_name("budgets.toml")
-_KEYS: Final = frozenset({"name", "figure", "limit", "times", "of", "bound", "each"})
+_KEYS: Final = frozenset({"name", "figure", "limit", "times", "of", "plus", "bound", "each"})
 
 
 class BudgetError(Exception):
@@ -30,6 +30,8 @@ class Budget:
         The bound, or by how much the figure at `of` is multiplied.
     of
         Path of the figure to compare with; empty for a plain number.
+    plus
+        Added to the bound: below it a ratio says nothing, since it is of the size of what the measuring adds.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Budget:
     at_most: bool
     factor: float
     of: str = ""
+    plus: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,10 +83,13 @@ def judge(budget: Budget, result: Mapping[str, Any]) -> Verdict:
             return Verdict(budget, "not measured", f"{path} was not measured")
     assert figure is not None  # noqa: S101 - see above; for the type checker
     assert other is not None  # noqa: S101
-    bound = budget.factor * other
+    bound = budget.factor * other + budget.plus
     kept = figure <= bound if budget.at_most else figure >= bound
     side = "at most" if budget.at_most else "at least"
-    against = f"{side} {budget.factor:g} x {budget.of} = {budget.factor:g} x {other:g}" if budget.of else side
+    plus = f" + {budget.plus:g}" if budget.plus else ""
+    against = (
+        f"{side} {budget.factor:g} x {budget.of}{plus} = {budget.factor:g} x {other:g}{plus}" if budget.of else side
+    )
     return Verdict(
         budget, "kept" if kept else "broken", f"{budget.figure} = {figure:g}, wanted is {against}"
         + (f" = {bound:g}" if budget.of else f" {bound:g}")
@@ -108,13 +114,14 @@ def _written_out(entry: Mapping[str, Any], result: Mapping[str, Any]) -> Iterato
         raise BudgetError(f"{name}: needs a limit, 'at most' or 'at least', and either 'bound' or 'times' and 'of'")
     try:
         figure, factor = str(entry["figure"]), float(entry["times" if "of" in entry else "bound"])
+        plus = float(entry.get("plus", 0.0))
     except (KeyError, ValueError) as error:
         raise BudgetError(f"{name}: {error!r}") from error
     of, at_most = str(entry.get("of", "")), entry["limit"] == "at most"
     for key in entry.get("each", [""]):
         suffix = f".{key}" if key else ""
         other = _best(of.removesuffix(".*"), figure, suffix, result, at_most=at_most) if of.endswith(".*") else of
-        yield Budget(name, figure + suffix, at_most, factor, other + suffix if other else "")
+        yield Budget(name, figure + suffix, at_most, factor, other + suffix if other else "", plus)
 
 
 def _best(table: str, figure: str, suffix: str, result: Mapping[str, Any], *, at_most: bool) -> str:

@@ -2,12 +2,13 @@
 
 import contextlib
 import json
+import time
 from collections.abc import Callable, Iterator
 from typing import Final
 
 from bench.bus_side import PRIORITY
 from bench.children import ChildError, child, first_line, module
-from bench.machine import Machine, Service
+from bench.machine import Machine
 from bench.packages import what_is_missing
 from bench.plan import Plan
 from bench.senders import COMMAND, FLOOR, SENDERS, SYNC
@@ -16,10 +17,11 @@ from bench.summary import Figures, summarise
 __all__ = ["CONTENDERS", "FLOOR", "measure"]
 
 CONTENDERS: Final = ("ours", *SENDERS)
+Load = Callable[[], contextlib.AbstractContextManager[None]]
 
 
 def measure(
-    machine: Machine, service: Service | None, plan: Plan, note: Callable[[str], None]
+    machine: Machine, load: Load, plan: Plan, note: Callable[[str], None], *, backwards: bool = False
 ) -> tuple[dict[str, Figures], dict[str, str]]:
     """Return the figures of one sender after another in µs, and why others have none.
 
@@ -27,37 +29,48 @@ def measure(
     ----------
     machine
         The bus, and the drive that answers on it.
-    service
-        The service that is listened to; None to listen to the other senders, so that only one sends at a time.
+    load
+        What else runs meanwhile.
     plan
-        How long each one is listened to.
+        How many rounds, every other one in the opposite order, and how long each sender is listened to.
     note
         Told what is going on.
+    backwards
+        Whether the last sender comes first.
 
     Beside the contenders there is ``floor``: what the bus and the listener add to each of them.
     """
-    figures: dict[str, Figures] = {}
-    not_measured: dict[str, str] = {}
-    for name in CONTENDERS:
-        if (name == "ours") != (service is not None):
-            continue
-        if reason := what_is_missing(name):
-            not_measured[name] = reason
-            continue
-        note(name)
-        try:
-            with _listening(machine, SYNC if name == "canopen_sync" else COMMAND, plan.frames_s) as intervals:
-                if service is not None:
-                    machine.send_afar(service)
-                    figures[name] = summarise(intervals())
-                else:
-                    command = module("senders", name, "--port", machine.port, "--seconds", plan.frames_s + 2.0)
-                    apparatus = name == FLOOR and machine.apparatus_is_real_time
-                    with child(command, priority=PRIORITY if apparatus else machine.priority):
-                        figures[name] = summarise(intervals())
-        except ChildError as error:
-            not_measured[name] = str(error)
-    return figures, not_measured
+    not_measured = {name: reason for name in CONTENDERS if (reason := what_is_missing(name))}
+    intervals: dict[str, list[float]] = {}
+    for round_number in range(plan.frame_rounds):
+        for name in CONTENDERS[:: -1 if (round_number % 2 == 1) != backwards else 1]:
+            if name in not_measured:
+                continue
+            note(f"{name}, round {round_number + 1} of {plan.frame_rounds}")
+            try:
+                heard = (_ours if name == "ours" else _other)(name, machine, load, plan)
+            except ChildError as error:
+                not_measured[name] = str(error)
+            else:
+                intervals.setdefault(name, []).extend(heard)
+    return {name: summarise(intervals[name]) for name in CONTENDERS if name in intervals}, not_measured
+
+
+def _ours(_: str, machine: Machine, load: Load, plan: Plan) -> list[float]:
+    """Listen to a service, alone on the bus with its drive; it has had time to learn how punctual the host is."""
+    with machine.service() as service, load():
+        machine.send_afar(service)
+        time.sleep(plan.frame_settling_s)
+        with _listening(machine, COMMAND, plan.frames_s) as intervals:
+            return intervals()
+
+
+def _other(name: str, machine: Machine, load: Load, plan: Plan) -> list[float]:
+    with load(), _listening(machine, SYNC if name == "canopen_sync" else COMMAND, plan.frames_s) as intervals:
+        command = module("senders", name, "--port", machine.port, "--seconds", plan.frames_s + 2.0)
+        apparatus = name == FLOOR and machine.apparatus_is_real_time
+        with child(command, priority=PRIORITY if apparatus else machine.priority):
+            return intervals()
 
 
 @contextlib.contextmanager

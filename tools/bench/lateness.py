@@ -17,13 +17,15 @@ _LARGEST_US: Final = 1_000_000
 """Where cyclictest's histogram ends."""
 
 
-def measure(plan: Plan, priority: int, note: Callable[[str], None]) -> tuple[dict[str, Figures], dict[str, str]]:
-    """Return the figures of each loop in µs, and why others have none."""
+def measure(
+    plan: Plan, priority: int, note: Callable[[str], None], *, backwards: bool = False
+) -> tuple[dict[str, Figures], dict[str, str]]:
+    """Return the figures of each loop in µs, and why others have none; `backwards` takes the last loop first."""
     not_measured = {name: reason for name in CONTENDERS if (reason := what_is_missing(name))}
     samples: dict[str, list[float]] = {}
     histograms: list[dict[str, Any]] = []
     for round_number in range(plan.lateness_rounds):
-        for name in CONTENDERS[:: -1 if round_number % 2 else 1]:
+        for name in CONTENDERS[:: -1 if (round_number % 2 == 1) != backwards else 1]:
             if name in not_measured:
                 continue
             note(f"{name}, round {round_number + 1} of {plan.lateness_rounds}")

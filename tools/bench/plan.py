@@ -21,9 +21,10 @@ class Plan:
     Attributes
     ----------
     lateness_rounds, lateness_s
-        Rounds over all loops, the second one in the opposite order; and how long each loop runs in a round.
-    frames_s
-        How long each sender is listened to.
+        Rounds over all loops, every other one in the opposite order; and how long each loop runs in a round.
+    frame_rounds, frames_s, frame_settling_s
+        Rounds over all senders, how long each of them is listened to in a round, and how long the service has run by
+        then.
     step_rounds, tick_count, real_ticks
         Rounds of the control step; timed ticks of the whole tick, in simulated and in real time, where 0 is none.
     memory_warm_up, memory_ticks
@@ -38,7 +39,9 @@ class Plan:
 
     lateness_rounds: int
     lateness_s: float
+    frame_rounds: int
     frames_s: float
+    frame_settling_s: float
     step_rounds: int
     tick_count: int
     real_ticks: int
@@ -52,5 +55,5 @@ class Plan:
     cpu_s: float
 
 
-FULL: Final = Plan(3, 5.0, 10.0, 40, 20_000, 1_000, 50_000, 1_000_000, 2, 10.0, 60.0, 5, 10, 15.0)
-QUICK: Final = Plan(1, 0.7, 0.7, 8, 2_000, 0, 1_000, 4_000, 0, 0.0, 0.0, 1, 3, 1.5)
+FULL: Final = Plan(4, 4.0, 2, 6.0, 3.0, 40, 20_000, 1_000, 50_000, 1_000_000, 2, 10.0, 60.0, 5, 10, 15.0)
+QUICK: Final = Plan(1, 0.7, 1, 0.7, 1.0, 8, 2_000, 0, 1_000, 4_000, 0, 0.0, 0.0, 1, 3, 1.5)

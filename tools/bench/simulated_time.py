@@ -21,7 +21,7 @@ from twostage_servo.simulation.virtual_clock import run
 
 
 def measure(plan: Plan, priority: int, note: Callable[[str], None]) -> dict[str, Any]:
-    """Return ``simulated_seconds_per_second``, ``memory_growth_mb`` and over how many ticks it was."""
+    """Return what :func:`run_long` does, of a process of its own."""
     note(f"{plan.memory_ticks} ticks after {plan.memory_warm_up}")
     command = module("simulated_time", "--warm-up", plan.memory_warm_up, "--ticks", plan.memory_ticks)
     result: dict[str, Any] = json_of(command, 1800.0, priority)
@@ -35,16 +35,25 @@ def resident_mb() -> float:
 
 
 def run_long(warm_up: int, ticks: int) -> dict[str, Any]:
-    """Run for so many ticks after a warm-up."""
+    """Run for so many ticks after a warm-up.
+
+    Returns
+    -------
+    dict
+        ``simulated_seconds_per_second``; ``simulated_tick_cpu_us``, the CPU time of a tick with its drive, which counts
+        nothing of what else runs on the machine; ``memory_growth_mb``, and over how many ticks that was.
+    """
 
     async def main() -> dict[str, Any]:
         async with operate(1, lambda _: None):
             await asyncio.sleep(warm_up * PERIOD_S)
-            before_mb, begun_s = resident_mb(), time.perf_counter()
+            before_mb, begun_cpu_s, begun_s = resident_mb(), time.process_time(), time.perf_counter()
             await asyncio.sleep(ticks * PERIOD_S)
-            took_s, after_mb = time.perf_counter() - begun_s, resident_mb()
+            took_s, took_cpu_s = time.perf_counter() - begun_s, time.process_time() - begun_cpu_s
+            after_mb = resident_mb()
         return {
             "simulated_seconds_per_second": round(ticks * PERIOD_S / took_s, 1),
+            "simulated_tick_cpu_us": round(1e6 * took_cpu_s / ticks, 1),
             "memory_growth_mb": round(after_mb - before_mb, 3),
             "memory_ticks": ticks,
         }

@@ -12,7 +12,7 @@ from bench.children import ROOT
 from bench.plan import PATIENT
 from twostage_servo.axis.messages import Refused
 from twostage_servo.canbus.link import Link
-from twostage_servo.config import load
+from twostage_servo.config import Config, LoadedConfig, load
 from twostage_servo.machine import Machine
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.loop import ServoService
@@ -43,7 +43,7 @@ def build(axes: int) -> tuple[ServoService, list[DriveNode], Callable[[], list[R
     """
     now = asyncio.get_running_loop().time
     wires: defaultdict[str | int, Wire] = defaultdict(lambda: Wire(now))
-    files = tuple(load(_CONFIG, [*PATIENT, *_apart(index)]) for index in range(axes))
+    files = tuple(_file(index) for index in range(axes))
     machine = dataclasses.replace(Machine.of(files[0]), axes=files)
     service = build_service(machine, opener=lambda bus: wires[bus.channel].attach("service"))
     nodes = []
@@ -61,6 +61,11 @@ def build(axes: int) -> tuple[ServoService, list[DriveNode], Callable[[], list[R
         return [MoveRequest(op="move", positions=ends, velocity=_VELOCITY)]
 
     return service, nodes, to_the_other_end
+
+
+@functools.cache  # 64 of them take a second, each time
+def _file(index: int) -> LoadedConfig[Config]:
+    return load(_CONFIG, [*PATIENT, *_apart(index)])
 
 
 def _apart(index: int) -> tuple[str, ...]:

@@ -218,10 +218,18 @@ class TwoStageLaw:
             if self._speed_stage_ends():
                 self._enter_position_stage(effort)
             else:
-                self._sum += self._f22 * (self._ramped_reference() - velocity)
+                reference = self.speed_reference
+                if self._braking or reference != self._direction * self.cruise_velocity:
+                    reference = self._ramped_reference()
+                self._sum += self._f22 * (reference - velocity)
         else:
             self.effort = self._braking_effort()
             return self.effort
+        limit, step = self.effort_limit, self._largest_step
+        if -limit <= effort <= limit and -step <= effort - self.effort <= step:  # within both: a call less each tick
+            self.saturated = False
+            self.effort = effort
+            return effort
         self.effort = limited = self._limited(effort)
         if limited != effort:
             self._sum += limited - effort

@@ -7,6 +7,10 @@ from bisect import bisect_left
 _BINS_PER_DECADE = 40
 _LOWEST_US = 0.1
 _DECADES = 8
+_MERGED = 4
+"""Bins that are shown as one."""
+_COARSE_EDGES = range(_MERGED, _BINS_PER_DECADE * _DECADES + 1, _MERGED)
+_EDGES_US = {index: float(f"{_LOWEST_US * 10.0 ** (index / _BINS_PER_DECADE):.3g}") for index in (0, *_COARSE_EDGES)}
 
 
 class TimeHistogram:
@@ -44,11 +48,12 @@ class TimeHistogram:
         p50, p90, p99 = self.percentiles_us(50.0, 90.0, 99.0)
         return {"p50": round(p50, 1), "p90": round(p90, 1), "p99": round(p99, 1), "max": round(self.largest_us, 1)}
 
-    def bins(self) -> list[tuple[float, int]]:
-        """Return the upper edge in µs and the count of each bin that is not empty."""
-        return [
-            (_LOWEST_US * 10.0 ** (index / _BINS_PER_DECADE), count) for index, count in enumerate(self._bins) if count
-        ]
+    def histogram(self) -> list[tuple[float, int]]:
+        """Return upper edge in µs and count of the bins that are not empty, 10 a decade: for a client to draw."""
+        bins = self._bins
+        merged = [(0, bins[0])]
+        merged += [(index, sum(bins[index - _MERGED + 1 : index + 1])) for index in _COARSE_EDGES]
+        return [(_EDGES_US[index], count) for index, count in merged if count]
 
 
 PHASES = ("read", "update", "hold", "write", "publish")
@@ -92,5 +97,8 @@ class TickStatistics:
             "count": self.count,
             "missed": self.missed,
             "lateness_us": self.lateness.summary(),
+            "lateness_histogram": [
+                {"up_to_us": edge_us, "ticks": ticks} for edge_us, ticks in self.lateness.histogram()
+            ],
             "duration_us": {name: histogram.summary() for name, histogram in self.duration.items()},
         }
