@@ -76,6 +76,12 @@ def test_what_is_no_usual_number_is_not(op: str, field: str, literal: str) -> No
     assert any(field in detail["loc"] for detail in caught.value.errors())
 
 
+@pytest.mark.parametrize(("op", "field"), FIELDS)
+def test_null_is_not_taken_for_a_field_left_out(op: str, field: str) -> None:
+    with pytest.raises(ValidationError, match=f"{field} is null: give it a value, or leave it out"):
+        REQUESTS.validate_json(_line(op, field, "null"))
+
+
 def test_over_the_socket_each_is_refused_with_its_field_and_nothing_moves(tmp_path: Path) -> None:
     path = tmp_path / "control.sock"
 

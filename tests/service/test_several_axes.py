@@ -10,7 +10,7 @@ import can
 import pytest
 
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.messages import Command, Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link
@@ -262,6 +262,23 @@ def test_a_quick_stop_for_another_axis_hardens_a_stop_that_is_under_way(tmp_path
         assert plant.axis("y").state is State.QUICK_STOPPING
 
     operate(path, script)
+
+
+def test_a_drive_is_disabled_at_the_end_though_another_ones_command_cannot_be_made(
+    two_on_one_bus: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def script(plant: Plant) -> None:
+        def broken(command: Command) -> can.Message:
+            raise RuntimeError(f"no frame for {command}")
+
+        await plant.armed()
+        monkeypatch.setattr(plant.service.station("x"), "_prepared", broken)
+        await asyncio.sleep(0.05)  # half of what a drive waits for commands
+        assert isinstance(plant.service.failure, RuntimeError)
+        assert plant.drives["x"].enabled
+        assert not plant.drives["y"].enabled
+
+    operate(two_on_one_bus, script)
 
 
 def test_a_bus_that_fails_trips_the_axes_on_it_and_no_others(tmp_path: Path) -> None:

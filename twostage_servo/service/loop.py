@@ -1,6 +1,7 @@
 """The service: on each tick read the buses, update the axes, write the commands, publish what happened."""
 
 import asyncio
+import contextlib
 import functools
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -133,8 +134,9 @@ class ServoService:
         finally:
             self.turns.end()
             try:
-                for station in self.stations:
-                    station.disable_drive(tick_index)
+                with contextlib.ExitStack() as every_drive:  # a defect at one drive is not in the way of the others
+                    for station in self.stations:
+                        every_drive.callback(station.disable_drive, tick_index)
             finally:
                 for port in self.ports:
                     await port.close()

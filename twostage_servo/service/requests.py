@@ -1,6 +1,6 @@
 """The control socket's requests: one JSON object a line, told apart by ``op``."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, model_validator
 
@@ -9,7 +9,20 @@ from twostage_servo.settings import Settings, quantity
 Position = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
 
 
-class AxisRequest(Settings):
+class _Request(Settings):
+    """What all requests have in common."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_null(cls, fields: Any) -> Any:
+        """Refuse null, which JSON writers make of NaN: a field left out means something else."""
+        for name, value in fields.items() if isinstance(fields, dict) else ():
+            if value is None:
+                raise ValueError(f"{name} is null: give it a value, or leave it out")
+        return fields
+
+
+class AxisRequest(_Request):
     """What is asked of an axis."""
 
     axis: str | None = Field(
@@ -104,19 +117,19 @@ class HomeRequest(AxisRequest):
     )
 
 
-class ReleaseRequest(Settings):
+class ReleaseRequest(_Request):
     """Give the lease back."""
 
     op: Literal["release"]
 
 
-class TakeRequest(Settings):
+class TakeRequest(_Request):
     """Take the lease, also from another client while the axis is at rest."""
 
     op: Literal["take"]
 
 
-class ReloadRequest(Settings):
+class ReloadRequest(_Request):
     """Read the configuration again, while the axis is disarmed."""
 
     op: Literal["reload"]
