@@ -60,6 +60,14 @@ def test_the_control_step_is_compared_with_the_same_equations() -> None:
     assert all(set(figures) >= FIGURES for figures in measured.values())
 
 
+def test_a_compiler_that_fails_leaves_the_others_in(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(control_step, "what_is_missing", lambda _: None)
+    monkeypatch.setattr(control_step, "compile_c", lambda _: (_ for _ in ()).throw(OSError("no linker")))
+    told = control_step.compare(1, only=["c", "numpy"])
+    assert set(told["control_step_us"]) == {"ours", "ours_position_stage", "numpy"}
+    assert told["not_measured"] == {"c": "the compiler does not do it: no linker"}
+
+
 def test_other_equations_are_noticed() -> None:
     samples, efforts = control_step.record(1e9)
     with pytest.raises(ValueError, match="different one does not compute the same effort"):
@@ -263,7 +271,6 @@ def test_what_is_left_out_breaks_no_budget(monkeypatch: pytest.MonkeyPatch) -> N
     made = run.Run(QUICK, 0, lambda _: None)
     made.do("clients")
     made.do("millisecond")
-    monkeypatch.setattr(run, "what_is_missing", {"filterpy": "no filterpy"}.get)
     steps = {"ours": {"p50": 0.9}, "c": {"p50": 0.1}, "numpy": {"p50": 8.0}}
     monkeypatch.setattr(control_step, "measure", lambda *_: (steps, {"filterpy": "no filterpy"}))
     made.do("step")

@@ -247,7 +247,13 @@ def compare(rounds: int, only: Sequence[str] = ()) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         made: dict[str, Callable[..., Step]] = {"ours": ours, "ours_position_stage": lambda: ours(_NEAR)}
         not_measured: dict[str, str] = {}
-        in_c = [] if what_is_missing("c") else list(compile_c(Path(folder)))
+        in_c: list[Callable[..., Step]] = []
+        no_c = what_is_missing("c")
+        if no_c is None:
+            try:
+                in_c += compile_c(Path(folder))
+            except (OSError, ImportError, subprocess.CalledProcessError) as error:
+                no_c = f"the compiler does not do it: {error}"
         others: dict[str, Callable[[], Callable[..., Step]]] = {
             "c": lambda: in_c[0],
             "c_by_ctypes": lambda: in_c[1],
@@ -258,7 +264,7 @@ def compare(rounds: int, only: Sequence[str] = ()) -> dict[str, Any]:
         for name, prepare in others.items():
             if only and name not in only:
                 continue
-            if reason := what_is_missing(name):
+            if reason := no_c if name in {"c", "c_by_ctypes"} else what_is_missing(name):
                 not_measured[name] = reason
             else:
                 made[name] = prepare()
