@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -235,6 +236,20 @@ def test_a_jam_that_is_noticed_by_its_consequences_only_is_seen(monkeypatch: pyt
     cell = run(30, Phase.IDLE)
     assert cell.observed == cell.expected
     assert "the jam was noticed after" in cell.wrong
+
+
+@pytest.mark.parametrize("phase", [Phase.IDLE, Phase.HOLDING])
+def test_a_speed_that_is_told_too_late_to_be_unreachable_is_seen(monkeypatch: pytest.MonkeyPatch, phase: Phase) -> None:
+    start = Supervision.start
+
+    def with_patience(supervision: Supervision) -> None:
+        start(supervision)
+        supervision._saturation_ticks = 53
+
+    monkeypatch.setattr(Supervision, "start", with_patience)
+    cell = run(29, phase)
+    assert cell.observed == cell.expected
+    assert re.fullmatch("the effort stood at its limit for 5[12] ticks, 50 are allowed", cell.wrong)
 
 
 def test_a_switch_that_nobody_gets_off_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:

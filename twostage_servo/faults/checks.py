@@ -97,6 +97,18 @@ async def within_jam_effort(world: World) -> str | None:
     return None
 
 
+async def told_in_time(world: World) -> str | None:
+    """Check that the effort has not stood at its limit for longer than its time when the axis trips."""
+    limits = world.axis.settings.limits
+    allowed = world.axis.design.ticks(limits.effort_saturation_ms)
+    driven = list(itertools.takewhile(lambda sample: sample.state not in _LATCHED, world.samples))
+    if len(driven) == len(world.samples):
+        return "it was not noticed that the effort stands at its limit"
+    at_limit = itertools.takewhile(lambda sample: abs(sample.effort) >= limits.effort, reversed(driven))
+    ticks = sum(1 for _ in at_limit)
+    return None if ticks <= allowed else f"the effort stood at its limit for {ticks} ticks, {allowed} are allowed"
+
+
 async def still_seen(world: World) -> str | None:
     """Check that the position is tracked after the power is off."""
     position = world.axis.drive.position

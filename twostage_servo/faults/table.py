@@ -24,6 +24,7 @@ from twostage_servo.faults.checks import (
     refused_all,
     rejected_some,
     still_seen,
+    told_in_time,
     within_jam_effort,
 )
 from twostage_servo.faults.world import World
@@ -276,7 +277,8 @@ TABLE: tuple[Fault, ...] = (
     Fault(29, "effort saturates: speed unreachable", _D.too_weak,
           {Phase.ACCELERATING: STOPPED, Phase.CRUISING: STOPPED, Phase.HOLDING: STOPPED},
           lambda budget: budget.unreachable_speed(_D.WEAKNESS),
-          idle=STOPPED, velocity_limit=True, phases=(Phase.IDLE, Phase.ACCELERATING, Phase.CRUISING, Phase.HOLDING)),
+          idle=STOPPED, velocity_limit=True, check=told_in_time,
+          phases=(Phase.IDLE, Phase.ACCELERATING, Phase.CRUISING, Phase.HOLDING)),
     Fault(30, "jam", _D.jam, QUICK, _unnoticed, idle=QUICK, again=True, check=within_jam_effort),
     Fault(31, "a load steps", _D.load_step, TOLERATED, _followed, phases=ARMED, check=arrived),
     Fault(32, "gain and pole 20 % off, friction", _D.another_plant, TOLERATED, _followed, check=arrived),
