@@ -93,6 +93,19 @@ def test_a_machine_that_ends_without_a_status_is_the_rigs_failure(
     assert not list(tmp_path.glob("rig-*"))  # and nothing is left behind
 
 
+def test_without_a_command_it_only_fetches(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = []
+    monkeypatch.setattr(Guest, "make", lambda self: made.append(self.layer))
+    monkeypatch.setattr(sys, "argv", ["run.py", "--cache", str(tmp_path), "--json"])
+    monkeypatch.setattr(run_module, "run", None)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    assert run_module.main() == 0
+    assert made == [tmp_path / "layer"]
+    assert json.loads(capsys.readouterr().out)["status"] == 0
+
+
 @pytest.mark.parametrize("wrong", [["--timeout", "0"], ["--boards", "9"], ["--memory", "16"]])
 def test_options_that_cannot_be_meant_are_refused(wrong: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:

@@ -3,6 +3,7 @@
 `python tools/rig/run.py -- COMMAND...` is for Debian and Ubuntu on amd64. KVM is used where it works. The machine has
 two emulated Kvaser boards, can0 and can1, on one bus, and sees the host's files at their paths, without changing any.
 With `--root FOLDER` it boots from the system in that folder instead, and sees the host's files below /host.
+Without COMMAND it only fetches what it needs.
 Exit code: the command's; 124 the time limit; 125 the rig itself failed.
 """
 
@@ -166,7 +167,7 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--cache", type=Path, default=home / "twostage-servo-rig", help="folder of what was fetched")
     parser.add_argument("--console", type=Path, help="keep there what kernel and systemd print")
     parser.add_argument("--json", action="store_true", help="the result as JSON; the command's output goes to stderr")
-    parser.add_argument("command", nargs="+", help="what to run, as root, in this folder")
+    parser.add_argument("command", nargs="*", help="what to run, as root, in this folder")
     options = parser.parse_args(arguments)
     if options.timeout <= 0.0 or options.boards not in range(9) or options.memory < 512:
         parser.error("--timeout must be above 0, --boards 0 to 8, --memory at least 512")
@@ -195,15 +196,23 @@ def main() -> int:
             fcntl.flock(lock, fcntl.LOCK_EX)
             guest.make()
         made = time.monotonic()
+        result["setup_s"] = round(made - begun, 1)
+        if not options.command:
+            result["status"] = 0
+            return _tell(result, options)
         ended = run(guest, options.command, options, sys.stderr if options.json else sys.stdout)
         if options.console is not None:
             options.console.write_text(ended.console)
-        result = {"status": ended.status, "accelerator": ended.accelerator, "boot_s": ended.boot_s}
-        result |= {"setup_s": round(made - begun, 1), "machine_s": round(time.monotonic() - made, 1)}
+        result |= {"status": ended.status, "accelerator": ended.accelerator, "boot_s": ended.boot_s}
+        result["machine_s"] = round(time.monotonic() - made, 1)
         if ended.status == TIME_LIMIT:
             result["error"] = f"time limit of {options.timeout:g} s; the last it said: {ended.console[-1000:]}"
     except (RigError, OSError, subprocess.CalledProcessError) as error:
         result["error"] = str(error)
+    return _tell(result, options)
+
+
+def _tell(result: dict[str, object], options: argparse.Namespace) -> int:
     if "error" in result:
         print(f"rig: {result['error']}", file=sys.stderr)
     if options.json:
