@@ -47,14 +47,23 @@ def obeys_the_group_alone(bench: Bench) -> Figures:
     refused = bench.as_stranger("status")
     said = refused.stdout + refused.stderr
     check(refused.returncode != 0 and "you may not use it" in said, "a stranger is refused, in words", said=said)
-    return {"socket_mode": oct(mode), "stranger_exit_code": refused.returncode, "stranger_is_told": said.strip()[:200]}
+    bench.operate("disarm")
+    peers = [entry["PEER"] for entry in bench.journal() if "PEER" in entry]
+    return {
+        "peers": peers[-1:],
+        "socket_mode": oct(mode),
+        "stranger_exit_code": refused.returncode,
+        "stranger_is_told": said.strip()[:200],
+    }
 
 
 def is_restarted_after_a_kill(bench: Bench) -> Figures:
     """Kill the service in mid-move: the drive stops by itself; systemd starts the service again, disarmed."""
+    bench.start_without_check()
     move(bench, "x", 0.0)
+    stopped = _times_stopped(bench)
     bench.signal_service(signal.SIGKILL)
-    stop_s = _drive_stops_by_itself(bench, "drive_x", 1)
+    stop_s = _drive_stops_by_itself(bench, stopped)
     restart_s = bench.restarted(1)
     for axis in ("x", "y"):
         bench.until(axis, "starts disarmed", disarmed)
@@ -65,8 +74,9 @@ def is_restarted_after_a_kill(bench: Bench) -> Figures:
 def is_killed_by_the_watchdog(bench: Bench) -> Figures:
     """Stop the service's process in mid-move: the drive stops by itself, the manager kills and starts it again."""
     move(bench, "x", 400.0)
+    stopped = _times_stopped(bench)
     bench.signal_service(signal.SIGSTOP)
-    stop_s = _drive_stops_by_itself(bench, "drive_x", 2)
+    stop_s = _drive_stops_by_itself(bench, stopped)
     restart_s = bench.restarted(2)
     for axis in ("x", "y"):
         bench.until(axis, "starts disarmed", disarmed)
@@ -108,10 +118,14 @@ def leaves_no_file(bench: Bench) -> Figures:
     return {"removed": len(placed)}
 
 
-def _drive_stops_by_itself(bench: Bench, name: str, times: int) -> float:
+def _times_stopped(bench: Bench) -> int:
+    return bench.log("drives").count("no command in time")
+
+
+def _drive_stops_by_itself(bench: Bench, times_before: int) -> float:
     begun = time.monotonic()
-    while bench.log(name).count("no command in time") < times:
-        check(time.monotonic() - begun < 30.0, "the drive's own time-out stops it within 30 s", log=bench.log(name))
+    while _times_stopped(bench) == times_before:
+        check(time.monotonic() - begun < 30.0, "the drive's own time-out stops it within 30 s", log=bench.log("drives"))
         time.sleep(0.1)
     return time.monotonic() - begun
 
