@@ -22,7 +22,8 @@ UNIT: Final = "twostage-servo.service"
 GROUP: Final = "twostage-servo"
 CONFIGURATION: Final = Path("/etc/twostage-servo")
 SOCKET: Final = Path("/run/twostage-servo/control.sock")
-_OPERATOR, _STRANGER = 4711, 4712
+OPERATOR: Final = 4711
+_STRANGER: Final = 4712
 _NOBODYS_GROUP: Final = 65534
 _ERROR_FLAG: Final = 0x20000000  # CAN_ERR_FLAG of linux/can.h
 _TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
@@ -185,7 +186,7 @@ class Bench:
 
     def operate(self, *arguments: str) -> dict[str, Any]:
         """Give a command as an ordinary user of the operators' group, and return its JSON."""
-        out = run(*_as_user(_OPERATOR, GROUP), str(PROGRAM), *arguments, "--json")
+        out = run(*_as_user(OPERATOR, GROUP), str(PROGRAM), *arguments, "--json")
         answer: dict[str, Any] = json.loads(out.splitlines()[-1])
         return answer
 

@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from rig.bench import GROUP, PROGRAM, ROOT, SOCKET, UNIT, Bench, run
+from rig.bench import GROUP, OPERATOR, PROGRAM, ROOT, SOCKET, UNIT, Bench, run
 from rig.checks import Figures, check, disarmed, move
 
 _PRIORITY = 40
@@ -26,7 +26,8 @@ def has_its_rights_and_no_more(bench: Bench) -> Figures:
         for thread in os.listdir(f"/proc/{pid}/task")  # noqa: PTH208 - threads may end meanwhile
     }
     locked_kib = int(status["VmLck"].split()[0])
-    check(policies[pid] == os.SCHED_FIFO, "the loop is scheduled first in, first out", policies=policies)
+    check(policies.pop(pid) == os.SCHED_FIFO, "the loop is scheduled first in, first out")
+    check(set(policies.values()) <= {os.SCHED_OTHER}, "the other threads are not", policies=policies)
     check(os.sched_getparam(pid).sched_priority == _PRIORITY, "with the unit's priority")
     check(locked_kib > 50_000, "its memory is locked", locked_kib=locked_kib)
     check(int(status["CapEff"], 16) == int(status["CapBnd"], 16) == 0, "it has no capability", **status)
@@ -49,8 +50,9 @@ def obeys_the_group_alone(bench: Bench) -> Figures:
     check(refused.returncode != 0 and "you may not use it" in said, "a stranger is refused, in words", said=said)
     bench.operate("disarm")
     peers = [entry["PEER"] for entry in bench.journal() if "PEER" in entry]
+    check(f"uid {OPERATOR} " in peers[-1], "the journal says who has commanded", peers=peers)
     return {
-        "peers": peers[-1:],
+        "peer": peers[-1],
         "socket_mode": oct(mode),
         "stranger_exit_code": refused.returncode,
         "stranger_is_told": said.strip()[:200],
