@@ -11,7 +11,8 @@ import pytest
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 sys.path.insert(0, str(TOOLS))
 
-from rig import guest as guest_module  # noqa: E402 - found by the path above
+from rig import fresh_debian as fresh_module  # noqa: E402 - found by the path above
+from rig import guest as guest_module  # noqa: E402
 from rig import run as run_module  # noqa: E402
 from rig.guest import Guest, RigError  # noqa: E402
 
@@ -111,6 +112,14 @@ def test_options_that_cannot_be_meant_are_refused(wrong: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         run_module.parse([*wrong, "--", "true"])
     assert caught.value.code == 2
+
+
+def test_a_fresh_debian_is_made_from_where_apt_gets_its_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = "bookworm-security http://one.invalid/security\nbookworm http://one.invalid/debian\n"
+    monkeypatch.setattr(fresh_module, "_run", lambda *_: listed)
+    assert fresh_module.apts_mirror("bookworm") == "http://one.invalid/debian"
+    with pytest.raises(fresh_module.FreshError, match="--mirror"):
+        fresh_module.apts_mirror("trixie")
 
 
 def test_candumps_log_is_decoded_without_the_package(tmp_path: Path) -> None:
