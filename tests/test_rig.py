@@ -4,6 +4,7 @@ import json
 import lzma
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -74,6 +75,17 @@ def test_another_root_is_booted_read_only_beside_the_hosts(guest: Guest, tmp_pat
     assert all(one.endswith(",readonly=on") for one in disks)
     assert f"local,security_model=none,multidevs=remap,id=root,path={tmp_path}/a,,b,readonly=on" in disks
     assert arguments[arguments.index("-append") + 1].endswith(" rig.root=other")
+
+
+def test_a_folder_that_is_to_be_in_memory_is_packed_at_its_path(tmp_path: Path) -> None:
+    for name in ("package/module.py", "package/tests/test_module.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    run_module._pack([tmp_path / "package"], tmp_path / "packed")
+    with tarfile.open(tmp_path / "packed") as packed:
+        assert [one for one in packed.getnames() if one.endswith(".py")] == [f"{tmp_path}/package/module.py"[1:]]
+    with pytest.raises(RigError, match="cannot be packed"):
+        run_module._pack([tmp_path / "absent"], tmp_path / "packed")
 
 
 def test_a_root_without_systemd_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

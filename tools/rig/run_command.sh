@@ -2,6 +2,7 @@
 stty -F /dev/hvc0 raw -echo
 cut -d' ' -f1 /proc/uptime >/rig/boot_s
 ip link set lo up
+[ ! -e /rig/in_memory.tar ] || tar -xf /rig/in_memory.tar -C /
 modprobe -a can_raw can_dev vcan kvaser_pci
 bash /rig/command </dev/null >/dev/hvc0 2>&1
 echo $? >/rig/status.part
