@@ -69,7 +69,7 @@ def moves_by_the_command_line(bench: Bench) -> Figures:
         check(frames[axis]["rejected"] == 0, "none was rejected", **frames[axis])
     check(seen["x"]["can_fd"] == 0 and seen["y"]["can_fd"] > 400, "CAN FD on vcan0 alone", **seen)
     ages = {axis: frames[axis]["age_us"] for axis in ("x", "y")}
-    check(all(age and age["count"] > 200 for age in ages.values()), "the kernel's stamps date the frames", **ages)
+    check(all(0.0 < age["p50"] < 1e6 for age in ages.values()), "the kernel's stamps date the frames", **ages)
     return {"took_s": took, "on_can0": seen["x"], "on_vcan0": seen["y"], "age_us": ages}
 
 
