@@ -25,7 +25,7 @@ def goes_to_the_journal(stream: TextIO) -> bool:
     """Whether systemd's journal is what reads a stream: it has said which one in the environment."""
     try:
         there = os.fstat(stream.fileno())
-    except (OSError, ValueError):
+    except (AttributeError, OSError, ValueError):  # not a file
         return False
     return os.environ.get("JOURNAL_STREAM") == f"{there.st_dev}:{there.st_ino}"
 
