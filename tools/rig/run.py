@@ -124,6 +124,7 @@ def _boot(
     (folder / "command").write_text(f"cd {shlex.quote(str(here))} && {line}\n")
     if options.in_memory:
         _pack(options.in_memory, folder / "in_memory.tar")
+        (folder / "in_memory").write_text("".join(f"{path}\n" for path in options.in_memory))
     console, errors = folder / "console", folder / "errors"
     console.touch()
     begun = time.monotonic()
