@@ -56,10 +56,8 @@ def moves_by_the_command_line(bench: Bench) -> Figures:
     bench.operate("disarm")
     bench.end("candump", signal.SIGINT)
     log.write_text(bench.log("candump"))
-    seen = {
-        axis: json.loads(run(sys.executable, str(ROOT / "tools/rig/decode.py"), str(log), channel))
-        for axis, channel in (("x", "can0"), ("y", "vcan0"))
-    }
+    decoded = json.loads(run(sys.executable, str(ROOT / "tools/rig/decode.py"), str(log), "can0", "vcan0"))
+    seen = {"x": decoded["can0"], "y": decoded["vcan0"]}
     for axis, target in (("x", 400.0), ("y", -50.0)):
         check(abs(places[axis] - target) < 0.1, f"{axis} arrives", **places)
         check(abs(seen[axis]["last"] - target) < 0.1, "cantools agrees", **seen[axis])
