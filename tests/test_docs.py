@@ -10,6 +10,7 @@ import pytest
 from can import Message
 
 from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.profile import DriveProfile, Feedback
 from twostage_servo.canbus.protocol import ProtocolSettings
 from twostage_servo.cli.main import build_parser
@@ -18,11 +19,14 @@ from twostage_servo.paper.errata import errata_table
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.requests import Request
 from twostage_servo.service.settings import ServiceSettings
+from twostage_servo.service.status_line import WORDS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 CONTROL_SOCKET = (ROOT / "docs" / "control-socket.md").read_text(encoding="utf-8")
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+OPERATIONS = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
+SYMPTOMS = sorted((ROOT / "docs" / "symptoms").glob("*.md"))
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *SYMPTOMS]
 
 ANOTHER_DRIVE = """
 VERSION ""
@@ -114,6 +118,20 @@ def test_every_refusal_is_in_the_page_on_the_control_socket() -> None:
     }  # troubles that would trip at once
     assert raised <= documented
     assert documented <= raised, "documented, but never raised"
+
+
+def test_every_trip_and_every_word_of_the_status_leads_the_operator_to_a_page() -> None:
+    rows = re.findall(r"^\| (`.*?) \| \[.*?\]\((symptoms/[\w-]+\.md)\)", OPERATIONS, re.MULTILINE)
+    pages = {code: page for codes, page in rows for code in re.findall(r"`(\w+)`", codes)}
+    assert set(pages) == set(TripCode)
+    for code, page in pages.items():
+        seen_as = (ROOT / "docs" / page).read_text(encoding="utf-8").partition("\n1. ")[0]
+        assert f"`{code}`" in seen_as, f"{page} does not say that it is about {code}"
+    linked = set(re.findall(r"\((symptoms/[\w-]+\.md)\)", OPERATIONS))
+    assert linked == {f"symptoms/{path.name}" for path in SYMPTOMS}
+    table = OPERATIONS.partition("## What the status says")[2].partition("## What a trip means")[0]
+    for words in {*WORDS.values(), "no bus", "the drive is silent", "error-passive", "error-warning", "late", "ending"}:
+        assert f"`{words}" in table
 
 
 def test_the_policies_for_a_lost_holder_are_all_explained() -> None:

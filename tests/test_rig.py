@@ -4,6 +4,7 @@ import json
 import lzma
 import subprocess
 import sys
+import tarfile
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ import pytest
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 sys.path.insert(0, str(TOOLS))
 
-from rig import guest as guest_module  # noqa: E402 - found by the path above
+from rig import fresh_debian as fresh_module  # noqa: E402 - found by the path above
+from rig import guest as guest_module  # noqa: E402
 from rig import run as run_module  # noqa: E402
 from rig.guest import Guest, RigError  # noqa: E402
 
@@ -75,6 +77,17 @@ def test_another_root_is_booted_read_only_beside_the_hosts(guest: Guest, tmp_pat
     assert arguments[arguments.index("-append") + 1].endswith(" rig.root=other")
 
 
+def test_a_folder_that_is_to_be_in_memory_is_packed_at_its_path(tmp_path: Path) -> None:
+    for name in ("package/module.py", "package/tests/test_module.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    run_module._pack([tmp_path / "package"], tmp_path / "packed")
+    with tarfile.open(tmp_path / "packed") as packed:
+        assert [one for one in packed.getnames() if one.endswith(".py")] == [f"{tmp_path}/package/module.py"[1:]]
+    with pytest.raises(RigError, match="cannot be packed"):
+        run_module._pack([tmp_path / "absent"], tmp_path / "packed")
+
+
 def test_a_root_without_systemd_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         run_module.parse(["--root", str(tmp_path), "--", "true"])
@@ -93,11 +106,32 @@ def test_a_machine_that_ends_without_a_status_is_the_rigs_failure(
     assert not list(tmp_path.glob("rig-*"))  # and nothing is left behind
 
 
+def test_without_a_command_it_only_fetches(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made = []
+    monkeypatch.setattr(Guest, "make", lambda self: made.append(self.layer))
+    monkeypatch.setattr(sys, "argv", ["run.py", "--cache", str(tmp_path), "--json"])
+    monkeypatch.setattr(run_module, "run", None)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    assert run_module.main() == 0
+    assert made == [tmp_path / "layer"]
+    assert json.loads(capsys.readouterr().out)["status"] == 0
+
+
 @pytest.mark.parametrize("wrong", [["--timeout", "0"], ["--boards", "9"], ["--memory", "16"]])
 def test_options_that_cannot_be_meant_are_refused(wrong: list[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         run_module.parse([*wrong, "--", "true"])
     assert caught.value.code == 2
+
+
+def test_a_fresh_debian_is_made_from_where_apt_gets_its_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    listed = "bookworm-security http://one.invalid/security\nbookworm http://one.invalid/debian\n"
+    monkeypatch.setattr(fresh_module, "_run", lambda *_: listed)
+    assert fresh_module.apts_mirror("bookworm") == "http://one.invalid/debian"
+    with pytest.raises(fresh_module.FreshError, match="--mirror"):
+        fresh_module.apts_mirror("trixie")
 
 
 def test_candumps_log_is_decoded_without_the_package(tmp_path: Path) -> None:
@@ -109,7 +143,7 @@ def test_candumps_log_is_decoded_without_the_package(tmp_path: Path) -> None:
     )
     command = [sys.executable, str(TOOLS / "rig/decode.py"), str(log), "can0"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - our own program
-    assert json.loads(done.stdout) == {
+    assert json.loads(done.stdout)["can0"] == {
         "commands": 2, "gaps": 1, "feedbacks": 2, "can_fd": 1, "first": 1.0, "last": -1.0, "highest": 1.0,
         "last_command": {"effort": 2.0, "enable": 1}, "braking_commands": 1,
     }  # fmt: skip

@@ -11,7 +11,7 @@ import structlog
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twostage_servo.service.log import LogWriter, open_log
+from twostage_servo.service.log import LogWriter, RateLimit, open_log
 from twostage_servo.service.statistics import TickStatistics, TimeHistogram
 
 
@@ -100,14 +100,7 @@ def test_a_stream_that_is_gone_is_no_error() -> None:
     assert writer.dropped == 1
 
 
-@pytest.mark.parametrize(("journal", "prefix"), [(True, "<4>"), (False, "")])
-def test_a_line_is_json_with_a_priority_for_the_journal(
-    monkeypatch: pytest.MonkeyPatch, journal: bool, prefix: str
-) -> None:
-    if journal:
-        monkeypatch.setenv("JOURNAL_STREAM", "8:1")
-    else:
-        monkeypatch.delenv("JOURNAL_STREAM", raising=False)
+def test_a_line_is_json() -> None:
     stream = io.StringIO()
     handlers = logging.getLogger().handlers[:]
     writer = open_log("info", stream)
@@ -116,12 +109,36 @@ def test_a_line_is_json_with_a_priority_for_the_journal(
     logging.getLogger("library").warning("from %s", "elsewhere")
     writer.close()
     first, second = stream.getvalue().splitlines()
-    assert first.startswith(prefix)
-    assert json.loads(first.removeprefix(prefix)) | {"timestamp": 0} == {
-        "event": "late", "level": "warning", "tick": 7, "timestamp": 0,
-    }  # fmt: skip
-    assert json.loads(second.removeprefix(prefix))["event"] == "from elsewhere"
+    assert json.loads(first) | {"timestamp": 0} == {"event": "late", "level": "warning", "tick": 7, "timestamp": 0}
+    assert json.loads(second)["event"] == "from elsewhere"
     assert logging.getLogger().handlers == handlers
+
+
+def test_of_a_flood_the_log_has_the_beginning_and_the_number() -> None:
+    now_s = 0.0
+    limit = RateLimit(burst=3, window_s=10.0, clock=lambda: now_s)
+
+    def passes(**event: object) -> dict[str, object] | None:
+        try:
+            return dict(limit(None, "warning", {"event": "refused", **event}))
+        except structlog.DropEvent:
+            return None
+
+    through = [passes(tick=tick) for tick in range(8)]
+    assert [event and event["tick"] for event in through] == [0, 1, 2, *[None] * 5]
+    assert passes(axis="y") is not None  # another axis, and another code, are other kinds
+    assert passes(code="busy") is not None
+    now_s = 10.0
+    assert passes(tick=9) == {"event": "refused", "tick": 9, "left_out": 5}
+    now_s = 20.0
+    assert passes(tick=10) == {"event": "refused", "tick": 10}
+
+
+def test_texts_that_never_come_twice_do_not_fill_the_memory() -> None:
+    limit = RateLimit()
+    for number in range(5000):
+        limit(None, "info", {"event": f"number {number}"})
+    assert len(limit._kinds) <= 1000
 
 
 def test_a_log_within_a_log_gives_the_outer_one_back() -> None:

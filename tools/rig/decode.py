@@ -1,7 +1,7 @@
 """Decode a log of candump with cantools and the shipped DBC, without a line of the package.
 
-`python tools/rig/decode.py LOG CHANNEL` prints the number of commands and feedbacks, the commands that their counter
-shows to be lost, the first and last position, the last command and how many commands braked as JSON.
+`python tools/rig/decode.py LOG CHANNEL...` prints as JSON, for each channel, the number of commands and feedbacks, the
+commands that their counter shows to be lost, the first and last position, the last command, how many commands braked.
 """
 
 import itertools
@@ -22,14 +22,19 @@ def _signal(message: Message, data: str, name: str) -> float:
 
 def main() -> None:
     """Decode, and print."""
-    log, channel = sys.argv[1:]
+    log, *channels = sys.argv[1:]
     database = cantools.database.load_file(Path(__file__).resolve().parents[2] / "config/servo_drive.dbc")
     if not isinstance(database, Database):
         raise TypeError("servo_drive.dbc is no database of CAN frames")
     command, feedback = (database.get_message_by_name(name) for name in ("DriveCommand", "DriveFeedback"))
+    lines = Path(log).read_text().splitlines()
+    print(json.dumps({channel: _decoded(lines, channel, command, feedback) for channel in channels}))
+
+
+def _decoded(lines: list[str], channel: str, command: Message, feedback: Message) -> dict[str, object]:
     modulus = 1 << command.get_signal_by_name("AliveCounter").length
     counters, efforts, enables, positions, fd = [], [], [], [], 0
-    for line in Path(log).read_text().splitlines():
+    for line in lines:
         _, interface, frame = line.split()[:3]
         identifier, _, data = frame.partition("#")
         if interface != channel or len(identifier) > 3:
@@ -48,7 +53,7 @@ def main() -> None:
     forward = positions[-1] - positions[0]
     braking = sum(enable and effort * forward < 0.0 for effort, enable in zip(efforts, enables, strict=True))
     result |= {"braking_commands": braking}
-    print(json.dumps(result | {"first": positions[0], "last": positions[-1], "highest": max(positions)}))
+    return result | {"first": positions[0], "last": positions[-1], "highest": max(positions)}
 
 
 if __name__ == "__main__":

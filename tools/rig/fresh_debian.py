@@ -28,6 +28,15 @@ class FreshError(Exception):
     """The fresh Debian or the package cannot be made; the text says at what, and what to do."""
 
 
+def apts_mirror(suite: str) -> str:
+    """Return where apt gets a suite from: debootstrap would take another one, which may not be reachable."""
+    sites = _run("apt-get", "indextargets", "--format", "$(CODENAME) $(SITE)", "Created-By: Packages").splitlines()
+    for codename, _, site in (line.partition(" ") for line in sites):
+        if codename == suite:
+            return site
+    raise FreshError(f"apt has no source of {suite}: name one with --mirror")
+
+
 def make_root(cache: Path, suite: str, mirror: str) -> Path:
     """Return the folder of the fresh Debian; made if it is missing, or was made of other packages."""
     root, note = cache / f"fresh-{suite}", cache / f"fresh-{suite}.made"
@@ -98,7 +107,7 @@ def main() -> int:
     parser.add_argument("package", type=Path, nargs="?", help="the .deb (default: it is built)")
     codename = platform.freedesktop_os_release().get("VERSION_CODENAME", "bookworm")
     parser.add_argument("--suite", default=codename, help="which Debian; its Python has to be the package's")
-    parser.add_argument("--mirror", default="http://deb.debian.org/debian", help="to make it from")
+    parser.add_argument("--mirror", help="to make it from (default: apt's own)")
     parser.add_argument("--cache", type=Path, default=home / "twostage-servo-rig", help="folder of what was fetched")
     parser.add_argument("--timeout", type=float, default=1500.0, help="most seconds in the machine (default 1500)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -112,7 +121,7 @@ def main() -> int:
         try:
             options.cache.mkdir(parents=True, exist_ok=True)
             package = options.package or make_package(Path(name))
-            root = make_root(options.cache.resolve(), options.suite, options.mirror)
+            root = make_root(options.cache.resolve(), options.suite, options.mirror or apts_mirror(options.suite))
             made_s = time.monotonic() - begun
             status, told = try_out(root, package, options.cache, options.timeout)
             result |= told | {"made_s": round(made_s, 1), "bytes": package.stat().st_size}

@@ -3,6 +3,7 @@
 The layer holds the packages that the host has not installed, unpacked, so that nothing is installed on the host.
 """
 
+import contextlib
 import lzma
 import os
 import re
@@ -97,6 +98,9 @@ class Guest:
         kernels = [deb for deb in archives.glob("linux-*.deb") if re.match(r"linux-(image|modules)", deb.name)]
         for deb in archives.glob("*.deb"):
             self._unpack(deb, _KEPT if deb in kernels else ("./*",))
+        for name in ("bin", "sbin", "lib", "lib64"):  # now empty, they would hide the host's links of that name
+            with contextlib.suppress(FileNotFoundError):
+                (self.layer / name).rmdir()
         self._write_layer()
         self._write_kernel()
         shutil.rmtree(archives)
@@ -162,7 +166,10 @@ class Guest:
         base.mkdir(exist_ok=True)
         (base / "lib").unlink(missing_ok=True)
         (base / "lib").symlink_to(self.layer / "usr/lib")
-        _run(self.tool("depmod"), "-b", str(base), release, environment=self.environment())
+        # The layer's own depmod is a link to /bin/kmod, which is not there on a host without kmod.
+        (base / "depmod").unlink(missing_ok=True)
+        (base / "depmod").symlink_to(self.tool("kmod"))
+        _run(str(base / "depmod"), "-b", str(base), release, environment=self.environment())
         folder = self.layer / "usr/lib/modules" / release
         with self.initramfs.open("wb") as out:
             for name in ("bin", "dev", "proc", "modules", "host", "layer", "memory", "new"):

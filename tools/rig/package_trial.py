@@ -176,9 +176,9 @@ class Trial:
         check(run("systemctl", "show", "--property=Result", "--value", UNIT).strip() == "success", "stops as it should")
         changed = differences(self._unpacked, inventory(str(OPT)))
         check(not changed, "the same files are there", **changed)
-        lines = run("journalctl", "--output=cat", f"--unit={UNIT}").splitlines()
-        (ended,) = (json.loads(line) for line in lines if '"event": "ending"' in line)
-        return {"upgrade_s": took, "stopped_while": ended["x"]}
+        told = run("journalctl", "--output=json", f"--unit={UNIT}")
+        (states,) = (json.loads(line)["STATES"] for line in told.splitlines() if '"STATES"' in line)
+        return {"upgrade_s": took, "stopped_while": json.loads(states)["x"]}
 
     def start_again(self) -> Figures:
         """Start it as the upgrade says: it is disarmed."""

@@ -76,7 +76,7 @@ def main() -> int:
             if not options.json:
                 word = "FAILED" if "failed" in figures else "ok"
                 print(word, scenario.__name__, json.dumps(results[scenario.__name__]), flush=True)
-        for name in ("service", "drive_x", "drive_y") if failed else ():
+        for name in ("service", "drives") if failed else ():
             print(f"--- {name}\n{bench.log(name)[-6000:]}", file=sys.stderr)
     if options.json:
         print(json.dumps({"failed": failed, "scenarios": results}))

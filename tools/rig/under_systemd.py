@@ -9,7 +9,7 @@ import sys
 import time
 from pathlib import Path
 
-from rig.bench import GROUP, PROGRAM, ROOT, SOCKET, UNIT, Bench, run
+from rig.bench import GROUP, OPERATOR, PROGRAM, ROOT, SOCKET, UNIT, Bench, run
 from rig.checks import Figures, check, disarmed, move
 
 _PRIORITY = 40
@@ -26,7 +26,8 @@ def has_its_rights_and_no_more(bench: Bench) -> Figures:
         for thread in os.listdir(f"/proc/{pid}/task")  # noqa: PTH208 - threads may end meanwhile
     }
     locked_kib = int(status["VmLck"].split()[0])
-    check(policies[pid] == os.SCHED_FIFO, "the loop is scheduled first in, first out", policies=policies)
+    check(policies.pop(pid) == os.SCHED_FIFO, "the loop is scheduled first in, first out")
+    check(set(policies.values()) <= {os.SCHED_OTHER}, "the other threads are not", policies=policies)
     check(os.sched_getparam(pid).sched_priority == _PRIORITY, "with the unit's priority")
     check(locked_kib > 50_000, "its memory is locked", locked_kib=locked_kib)
     check(int(status["CapEff"], 16) == int(status["CapBnd"], 16) == 0, "it has no capability", **status)
@@ -47,14 +48,24 @@ def obeys_the_group_alone(bench: Bench) -> Figures:
     refused = bench.as_stranger("status")
     said = refused.stdout + refused.stderr
     check(refused.returncode != 0 and "you may not use it" in said, "a stranger is refused, in words", said=said)
-    return {"socket_mode": oct(mode), "stranger_exit_code": refused.returncode, "stranger_is_told": said.strip()[:200]}
+    bench.operate("disarm")
+    peers = [entry["PEER"] for entry in bench.journal() if "PEER" in entry]
+    check(f"uid {OPERATOR} " in peers[-1], "the journal says who has commanded", peers=peers)
+    return {
+        "peer": peers[-1],
+        "socket_mode": oct(mode),
+        "stranger_exit_code": refused.returncode,
+        "stranger_is_told": said.strip()[:200],
+    }
 
 
 def is_restarted_after_a_kill(bench: Bench) -> Figures:
     """Kill the service in mid-move: the drive stops by itself; systemd starts the service again, disarmed."""
+    bench.start_without_check()
     move(bench, "x", 0.0)
+    stopped = _times_stopped(bench)
     bench.signal_service(signal.SIGKILL)
-    stop_s = _drive_stops_by_itself(bench, "drive_x", 1)
+    stop_s = _drive_stops_by_itself(bench, stopped)
     restart_s = bench.restarted(1)
     for axis in ("x", "y"):
         bench.until(axis, "starts disarmed", disarmed)
@@ -65,8 +76,9 @@ def is_restarted_after_a_kill(bench: Bench) -> Figures:
 def is_killed_by_the_watchdog(bench: Bench) -> Figures:
     """Stop the service's process in mid-move: the drive stops by itself, the manager kills and starts it again."""
     move(bench, "x", 400.0)
+    stopped = _times_stopped(bench)
     bench.signal_service(signal.SIGSTOP)
-    stop_s = _drive_stops_by_itself(bench, "drive_x", 2)
+    stop_s = _drive_stops_by_itself(bench, stopped)
     restart_s = bench.restarted(2)
     for axis in ("x", "y"):
         bench.until(axis, "starts disarmed", disarmed)
@@ -90,7 +102,7 @@ def stops_as_it_should(bench: Bench) -> Figures:
     code, result = bench.shown("ExecMainStatus"), bench.shown("Result")
     bench.end("stop", signal.SIGINT)
     log = bench.folder / "stop.log"
-    seen = json.loads(run(sys.executable, str(ROOT / "tools/rig/decode.py"), str(log), "can0"))
+    seen = json.loads(run(sys.executable, str(ROOT / "tools/rig/decode.py"), str(log), "can0"))["can0"]
     check((code, result) == ("0", "success"), "exit code 0", code=code, result=result)
     check(seen["last_command"] == {"effort": 0.0, "enable": 0}, "the last command disables the drive", **seen)
     check(seen["braking_commands"] > 0, "the axis was braked, not let go", **seen)
@@ -108,10 +120,14 @@ def leaves_no_file(bench: Bench) -> Figures:
     return {"removed": len(placed)}
 
 
-def _drive_stops_by_itself(bench: Bench, name: str, times: int) -> float:
+def _times_stopped(bench: Bench) -> int:
+    return bench.log("drives").count("no command in time")
+
+
+def _drive_stops_by_itself(bench: Bench, times_before: int) -> float:
     begun = time.monotonic()
-    while bench.log(name).count("no command in time") < times:
-        check(time.monotonic() - begun < 30.0, "the drive's own time-out stops it within 30 s", log=bench.log(name))
+    while _times_stopped(bench) == times_before:
+        check(time.monotonic() - begun < 30.0, "the drive's own time-out stops it within 30 s", log=bench.log("drives"))
         time.sleep(0.1)
     return time.monotonic() - begun
 

@@ -82,6 +82,7 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     from twostage_servo.service.assembly import socket_path
     from twostage_servo.service.control_socket import ControlSocket
     from twostage_servo.service.notify import Notifier
+    from twostage_servo.service.status_line import StatusLine
     from twostage_servo.service.trip_files import TripFiles, default_folder
 
     path = socket_path(machine.service)
@@ -96,6 +97,7 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     except OSError as error:
         raise CommandError(ExitCode.USAGE, "socket", f"the control socket cannot be made at {path}: {error}") from error
     service.publishers.append(lambda tick: control.publish(tick.index))
+    service.publishers.append(StatusLine(service, notifier.status).publish)
     service.publishers.append(_feeder(service, notifier, loop))
     _on_signals(service.shut_down)
     notifier.ready()

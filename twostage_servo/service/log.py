@@ -1,25 +1,26 @@
-"""The log: structlog events as lines on stderr, written by a thread, so that a stuck pipe never delays a tick."""
+"""The log: structlog events as lines, written by a thread, so that a stuck pipe or journal never delays a tick."""
 
 import logging
-import os
 import queue
 import sys
 import threading
-from typing import TYPE_CHECKING, Any, Final, TextIO
+import time
+from collections.abc import Callable, MutableMapping
+from typing import Any, Final, TextIO
 
 import structlog
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
+from twostage_servo.service.journal import JournalStream, goes_to_the_journal
 
-_PRIORITY: Final = {"debug": 7, "info": 6, "warning": 4, "error": 3, "critical": 2}
 _END: Final = None
+_KIND: Final = ("event", "axis", "bus", "code")
+_MOST_KINDS: Final = 1000
 
 
 class LogWriter:
     """Hands finished lines to a thread that writes them; when the queue is full, lines are dropped and counted."""
 
-    def __init__(self, stream: TextIO, capacity: int = 1000) -> None:
+    def __init__(self, stream: "TextIO | JournalStream", capacity: int = 1000) -> None:
         self._stream = stream
         self._queue: queue.Queue[str | None] = queue.Queue(capacity)
         self.dropped = 0
@@ -44,6 +45,8 @@ class LogWriter:
         except queue.Full:
             return
         self._thread.join(timeout_s)
+        if isinstance(self._stream, JournalStream) and not self._thread.is_alive():
+            self._stream.close()
 
     def _write(self) -> None:
         while (line := self._queue.get()) is not _END:
@@ -54,15 +57,68 @@ class LogWriter:
                 self.dropped += 1
 
 
-def _with_journal_priority(_: Any, method: str, event: str) -> str:
-    return f"<{_PRIORITY.get(method, 6)}>{event}"
+class RateLimit:
+    """Lets no event of one kind through more than so often: of a flood, the log has the beginning and the number.
+
+    Of one kind are events of the same text, axis, bus and code. What was left out is told with the next one of its kind
+    that is let through, as ``left_out``.
+
+    Parameters
+    ----------
+    burst
+        Events of one kind that are let through in a window.
+    window_s
+        Length of a window, s; it begins with an event.
+    clock
+        Tells the time, s.
+    """
+
+    def __init__(self, burst: int = 100, window_s: float = 10.0, clock: Callable[[], float] = time.monotonic) -> None:
+        self._burst = burst
+        self._window_s = window_s
+        self._clock = clock
+        self._kinds: dict[tuple[str, ...], _Window] = {}
+
+    def __call__(self, _: Any, method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+        """Return the event, or leave it out.
+
+        Raises
+        ------
+        structlog.DropEvent
+            When there were too many of its kind.
+        """
+        now_s = self._clock()
+        kind = (method, *(str(event.get(key)) for key in _KIND))
+        window = self._kinds.get(kind)
+        if window is None or now_s >= window.ends_s:
+            if len(self._kinds) >= _MOST_KINDS:  # texts of libraries, which may have numbers in them
+                self._kinds.clear()
+            left_out = 0 if window is None else window.left_out
+            self._kinds[kind] = _Window(now_s + self._window_s)
+            if left_out:
+                event["left_out"] = left_out
+            return event
+        window.let_through += 1
+        if window.let_through > self._burst:
+            window.left_out += 1
+            raise structlog.DropEvent
+        return event
+
+
+class _Window:
+    __slots__ = ("ends_s", "left_out", "let_through")
+
+    def __init__(self, ends_s: float) -> None:
+        self.ends_s = ends_s
+        self.let_through = 1
+        self.left_out = 0
 
 
 def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> LogWriter:
     """Configure structlog for this process and return the writer, to be closed at the end.
 
-    On a terminal a line is made for eyes; elsewhere it is JSON, and for journald behind the ``<N>`` prefix by which it
-    tells the priority.
+    On a terminal a line is made for eyes; elsewhere it is JSON, which goes to systemd's journal as an entry with fields
+    where that reads the stream. Floods are cut short, see :class:`RateLimit`.
 
     Parameters
     ----------
@@ -74,24 +130,18 @@ def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> 
         Lines that may wait to be written; more are dropped and counted.
     """
     stream = stream or sys.stderr
-    writer = LogWriter(stream, capacity)
     for_eyes = stream.isatty()
-    renderers: list[Any] = (
-        [structlog.dev.ConsoleRenderer(colors=True)]
-        if for_eyes
-        else [
-            structlog.processors.JSONRenderer(),
-            *([_with_journal_priority] if "JOURNAL_STREAM" in os.environ else []),
-        ]
-    )
+    render: Any = structlog.dev.ConsoleRenderer(colors=True) if for_eyes else structlog.processors.JSONRenderer()
+    writer = LogWriter(JournalStream(stream) if goes_to_the_journal(stream) else stream, capacity)
     least = logging.getLevelNamesMapping()[level.upper()]
     outer = structlog.get_config() if structlog.is_configured() else None
     structlog.configure(
         processors=[
+            RateLimit(),
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=not for_eyes),
             structlog.processors.format_exc_info,
-            *renderers,
+            render,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(least),
         logger_factory=lambda *_: writer,

@@ -147,7 +147,7 @@ class ServoService:
         """Bring the axes to rest, disable the drives, and end the loop; within the shutdown time-out at the latest."""
         if self._ending_ticks is None:
             self._ending_ticks = round(self.settings.shutdown_timeout_ms / self.settings.tick_ms)
-            self._log.info("ending", **{station.name: station.axis.state for station in self.stations})
+            self._log.info("ending", states={station.name: station.axis.state for station in self.stations})
             for station in self.stations:
                 station.axis.disarm()
 

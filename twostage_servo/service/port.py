@@ -55,6 +55,7 @@ class Port:
         self._overflowed = 0
         self._next_opening_s = 0.0
         self._ticks_a_report = max(1, round(1.0 / period_s))
+        self._next_report = 0
         self._controller = "active"
         self._log = structlog.get_logger().bind(bus=link.settings.channel)
         for station in stations:
@@ -106,7 +107,8 @@ class Port:
             self._controller = link.controller_state
             counters = link.error_counters
             self._log.warning("bus controller", tick=tick.index, state=self._controller, error_counters=counters)
-        if tick.index % self._ticks_a_report == 0:
+        if tick.index >= self._next_report:  # a remainder of the index could be one that is always missed
+            self._next_report = tick.index + self._ticks_a_report
             self._look_after_bus(tick)
 
     def _look_after_bus(self, tick: Tick) -> None:

@@ -1,0 +1,70 @@
+"""The line for `systemctl status`, of the real service in simulated time."""
+
+from tests.service.rig import World, simulate
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
+from twostage_servo.service.status_line import WORDS, StatusLine, status_line
+
+
+def test_every_state_has_its_words() -> None:
+    assert set(WORDS) == set(State)
+
+
+def test_what_an_axis_does_is_told_once_a_change() -> None:
+    async def script(world: World) -> None:
+        lines: list[str] = []
+        world.service.publishers.append(StatusLine(world.service, lines.append).publish)
+        await world.cruising()
+        await world.until(lambda: world.state() is State.HOLDING)
+        await world.seconds(5.0)
+        assert [line for line in lines if "bus" not in line and "silent" not in line] == [
+            "x disarmed", "x moving", "x holding",
+        ]  # fmt: skip
+
+    simulate(script)
+
+
+def test_a_trip_is_told_with_its_cause_and_what_to_do_next() -> None:
+    async def script(world: World) -> None:
+        await world.armed()
+        world.axis.raise_trip(TripCode.JAM, "effort 12 V\nand no motion.")
+        await world.seconds(1.0)
+        line = status_line(world.service, 0)
+        assert line.startswith("x tripped (jam): effort 12 V and no motion. Find what holds the axis")
+        world.axis.reset()
+        assert status_line(world.service, 0) == "x disarmed"
+
+    simulate(script)
+
+
+def test_a_silent_drive_a_bus_in_trouble_and_one_that_is_gone_are_told() -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        world.station.port.link.controller_state = "passive"
+        assert status_line(world.service, 0) == "x disarmed, bus can0 error-passive"
+        world.axis.drive.forget()
+        assert status_line(world.service, 0) == "x disarmed, the drive is silent"
+        world.station.port.error = "bus socketcan can0 failed: Network is down. Bring it up."
+        line = status_line(world.service, 0)
+        assert line == "x disarmed, no bus: bus socketcan can0 failed: Network is down. Bring it up."
+        world.station.port.error = "x" * 10_000
+        assert len(status_line(world.service, 0)) == 2000
+        world.station.port.error = None
+
+    simulate(script)
+
+
+def test_missed_ticks_and_the_end_are_told() -> None:
+    async def script(world: World) -> None:
+        lines: list[str] = []
+        world.service.publishers.append(StatusLine(world.service, lines.append).publish)
+        await world.until(lambda: world.axis.ready_to_arm)
+        world.ticks.hold_s = 0.05
+        await world.seconds(1.5)
+        assert "x disarmed | late, 4 ticks missed in the last second" in lines
+        await world.seconds(2.0)
+        assert lines[-1] == "x disarmed"
+        world.service.shut_down()
+        assert status_line(world.service, 0) == "ending | x disarmed"
+
+    simulate(script)

@@ -1,0 +1,97 @@
+"""The line that `systemctl status` shows: how each axis is, and what to do about one that is not well."""
+
+from typing import TYPE_CHECKING, Final
+
+from twostage_servo.axis.state import State
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from twostage_servo.service.loop import ServoService
+    from twostage_servo.service.station import Station
+    from twostage_servo.ticks import Tick
+
+WORDS: Final = {
+    State.DISARMED: "disarmed",
+    State.ARMING: "arming",
+    State.HOLDING: "holding",
+    State.SPEED_STAGE: "moving",
+    State.POSITION_STAGE: "moving",
+    State.JOGGING: "jogging",
+    State.HOMING: "homing",
+    State.STOPPING: "stopping",
+    State.QUICK_STOPPING: "stopping quickly",
+    State.DISARMING: "stopping, to be disarmed",
+    State.TRIPPED_STOPPING: "tripped",
+    State.TRIPPED_QUICK_STOP: "tripped",
+    State.TRIPPED: "tripped",
+}
+"""What an axis does, in one or two words."""
+_LONGEST: Final = 2000
+"""Bytes; the manager takes 4096 at most."""
+
+
+class StatusLine:
+    """Tells the service manager what has changed, ten times a second at most.
+
+    Parameters
+    ----------
+    service
+        What it is about.
+    show
+        Called with each new line; must not wait.
+    """
+
+    def __init__(self, service: "ServoService", show: "Callable[[str], None]") -> None:
+        self._service = service
+        self._show = show
+        self._shown = ""
+        self._missed = 0
+        self._missed_lately = 0
+        self._ticks_a_second = max(1, round(1.0 / service.ticks.period_s))
+        self._next_count = self._next_look = 0
+
+    def publish(self, tick: "Tick") -> None:
+        """Look at the service, if it is time to, and show the line if it has changed."""
+        if tick.index >= self._next_count:
+            self._next_count = tick.index + self._ticks_a_second
+            missed = self._service.statistics.missed
+            self._missed_lately, self._missed = missed - self._missed, missed
+        if tick.index >= self._next_look:
+            self._next_look = tick.index + max(1, self._ticks_a_second // 10)
+            line = status_line(self._service, self._missed_lately)
+            if line != self._shown:
+                self._shown = line
+                self._show(line)
+
+
+def status_line(service: "ServoService", missed_lately: int) -> str:
+    """Return the line.
+
+    Parameters
+    ----------
+    service
+        What it is about.
+    missed_lately
+        Ticks that were missed in the last second.
+    """
+    parts = ["ending"] if service.is_ending else []
+    parts += [_of(station) for station in service.stations]
+    if missed_lately:
+        parts.append(f"late, {missed_lately} ticks missed in the last second")
+    line = " | ".join(" ".join(part.split()) for part in parts)
+    return line.encode()[:_LONGEST].decode(errors="ignore")
+
+
+def _of(station: "Station") -> str:
+    axis, port = station.axis, station.port
+    words = f"{station.name} {WORDS[axis.state]}"
+    if axis.trip is not None:
+        words = f"{words} ({axis.trip.code}): {axis.trip.cause.rstrip('.')}. {axis.trip.next_action}"
+    elif port.error is not None:
+        words = f"{words}, no bus: {port.error}"
+    elif axis.drive.is_stale:
+        words = f"{words}, the drive is silent"
+    elif port.link.controller_state != "active":
+        words = f"{words}, bus {port.link.settings.channel} error-{port.link.controller_state}"
+    return words
