@@ -252,6 +252,8 @@ def test_a_broken_budget_is_measured_anew_before_it_counts(capsys: pytest.Captur
 
 def test_a_figure_of_ours_that_could_not_be_measured_is_no_kept_budget(monkeypatch: pytest.MonkeyPatch) -> None:
     made = run.Run(QUICK, 0, lambda _: None)
+    steps = {"ours": {"p50": 0.9}, "c": {"p50": 0.1}, "numpy": {"p50": 8.0}, "filterpy": {"p50": 40.0}}
+    monkeypatch.setattr(control_step, "measure", lambda *_: (steps, {}))  # which is measured anew with it
     monkeypatch.setattr(simulated_time, "measure", lambda *_: (_ for _ in ()).throw(ChildError("it fell over")))
     made.do("simulation")
     assert made.result["not_measured"] == {"simulation": "it fell over"}
