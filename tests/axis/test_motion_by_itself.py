@@ -73,7 +73,7 @@ def test_tracking_begins_at_the_first_sample_and_takes_the_speed_from_the_second
     assert bench.motion.expected_position(driven=False) == 10.0
     bench.track(11.0)
     expected = DESIGN.build_law().observer
-    expected.start_moving(10.0, 11.0)
+    expected.start_moving(10.0, 11.0, 1)
     assert bench.estimate() == (expected.position, expected.velocity)
     assert expected.velocity > 50.0
     expected.update(expected.position + 0.3, 0.0)
@@ -96,7 +96,7 @@ def test_a_spike_while_tracking_is_passed_over_and_a_second_one_says_how_fast_it
         assert bench.estimate() == pytest.approx((10.0, 0.0))
         bench.track(10.0 + side * 1.0)
         expected = DESIGN.build_law().observer
-        expected.start_moving(10.0 + side * 0.6, 10.0 + side * 1.0)
+        expected.start_moving(10.0 + side * 0.6, 10.0 + side * 1.0, 1)
         assert bench.estimate() == pytest.approx((expected.position, expected.velocity))
         bench.track(bench.observer.position, bench.observer.position)
         before = bench.estimate()
@@ -140,7 +140,7 @@ def test_after_a_while_without_sight_it_starts_afresh(reason: str) -> None:
     assert bench.estimate() == (50.0, 0.0)
     bench.track(50.2)
     expected = DESIGN.build_law().observer
-    expected.start_moving(50.0, 50.2)
+    expected.start_moving(50.0, 50.2, 1)
     assert bench.estimate() == pytest.approx((expected.position, expected.velocity))
 
 

@@ -132,7 +132,7 @@ class DisturbanceObserver:
         self.disturbance = 0.0
         self.innovation = 0.0
 
-    def start_moving(self, before: float, sample: float, periods: int = 1) -> None:
+    def start_moving(self, before: float, sample: float, periods: int) -> None:
         """Start afresh from two samples (axis unit) some periods apart, undisturbed and without effort, at their speed.
 
         In n periods the plant goes ``a12 v0 (1 + a22 + ... + a22^(n-1))`` and keeps ``a22^n v0``; from there the model
