@@ -31,9 +31,9 @@ def test_errors_add_up_within_a_tick_and_over_ticks() -> None:
     for expected in (2, 4, 6):
         monitor.begin_tick(0)
         monitor.reject()
-        monitor.reject()
+        monitor.doubt()
         assert monitor.recent_errors == expected
-    assert monitor.rejected == 6
+    assert monitor.rejected == 3
     monitor.begin_tick(0)
     assert monitor.recent_errors == 6
 

@@ -300,6 +300,22 @@ def test_an_estimate_that_is_given_up_keeps_its_place_and_no_speed() -> None:
     assert (bench.observer.position, bench.observer.velocity, bench.observer.disturbance) == (10.0, 0.0, 0.0)
 
 
+def test_a_stop_goes_on_from_no_speed_when_its_estimate_is_given_up() -> None:
+    bench = Bench().holding()
+    bench.observer.velocity = 50.0
+    bench.motion.stop(2000.0)
+    assert bench.motion.law.speed_reference == 50.0
+    bench.motion.distrust()
+    assert bench.motion.law.speed_reference == 0.0
+
+
+def test_the_speed_is_known_from_the_second_sample_on_until_the_track_is_lost() -> None:
+    bench = Bench()
+    known = [bench.track(10.0).motion.knows_speed for _ in range(3)]
+    bench.motion.lose_track()
+    assert [*known, bench.motion.knows_speed] == [False, True, True, False]
+
+
 @pytest.mark.parametrize("name", ["position", "velocity", "disturbance", "effort"])
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_nothing_of_the_law_may_be_no_number(name: str, value: float) -> None:

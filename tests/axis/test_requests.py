@@ -12,6 +12,7 @@ from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import Move
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.control.two_stage import Stage
 
 SEARCH: dict[str, Any] = {"method": "index", "velocity": 40.0, "slow_velocity": 5.0, "travel": 300.0, "position": 12.0}
 
@@ -108,6 +109,13 @@ def test_a_disarming_keeps_the_deceleration_of_a_quick_stop(monkeypatch: pytest.
     assert (rig.axis.move.outcome, rig.axis.move.reason) == ("stopped", "by hand")
     rig.axis.disarm()
     assert begun == [4000.0, 4000.0]
+
+
+def test_an_axis_that_holds_does_not_brake_for_a_quick_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = AxisRig().armed()
+    begun = decelerations(rig, monkeypatch)
+    rig.axis.stop(quick=True)
+    assert (begun, rig.state(), rig.axis.law.stage) == ([], State.HOLDING, Stage.POSITION)
 
 
 def test_a_stop_brakes_once_and_a_quick_stop_takes_over(monkeypatch: pytest.MonkeyPatch) -> None:
