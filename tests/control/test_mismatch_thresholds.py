@@ -66,10 +66,26 @@ def test_another_origin_changes_no_evidence() -> None:
         if n == 30:
             there.shift(-500.0)
         sample = 0.02 * n * n
-        here.update(sample, 5.0, surprised(0.1), LIMIT)
-        there.update(sample - (500.0 if n >= 30 else 0.0), 5.0, surprised(0.1), LIMIT)
-    assert min(here._sums) > 1e-3
+        here.update(sample, 5.0, surprised(1e3), LIMIT)  # so much that the mirrored motion is never begun anew
+        there.update(sample - (500.0 if n >= 30 else 0.0), 5.0, surprised(1e3), LIMIT)
+    assert min(*here._sums, here._mirrored_sum) > 1e-3
     assert there._sums == pytest.approx(here._sums, rel=1e-6)
+    assert there._mirrored_sum == pytest.approx(here._mirrored_sum, rel=1e-6)
+
+
+@pytest.mark.parametrize(("times_better", "told"), [(50.5, True), (49.5, False)])
+def test_a_mirrored_motion_has_to_be_fifty_times_better(times_better: float, told: bool) -> None:
+    test = ModelTest(PLANT, PERIOD_S, NoiseModel())
+    test.surprise, test._sum, test._sums, test._limit = 2.0, 4.0, [9.0, 9.0, 9.0], LIMIT
+    test._mirrored_ticks, test._sum_since, test._mirrored_sum = 3, times_better, 1.0
+    assert test.better_gain_factor == (-1.0 if told else None)
+
+
+def test_the_mirrored_motion_is_expected_anew_where_it_explains_no_more_than_the_model() -> None:
+    test = ModelTest(PLANT, PERIOD_S, NoiseModel())
+    for _ in range(5):
+        test.update(0.0, 0.0, surprised(0.0), LIMIT)  # at rest neither is surprised
+    assert test._mirrored_ticks == 0
 
 
 def test_the_hypotheses_forget_a_disturbance_as_the_noise_model_says() -> None:
@@ -79,7 +95,11 @@ def test_the_hypotheses_forget_a_disturbance_as_the_noise_model_says() -> None:
     other = DisturbanceObserver(reversed_plant, kalman_gain(reversed_plant, noise).predictor, 0.5)
     expected = 0.0
     for n in range(20):
-        test.update(0.1 * n, 1.0, surprised(0.0), LIMIT)
+        test.update(0.1 * n, 1.0, surprised(1e3), LIMIT)
         other.update(0.1 * n, 1.0)
         expected = 0.93 * expected + other.innovation**2
     assert test._sums[0] == pytest.approx(expected, rel=1e-12)
+    # Not begun anew, the mirrored motion is that of a plant with its gain reversed.
+    assert test._mirrored_sum == pytest.approx(expected, rel=1e-12)
+    assert test._sum_since == pytest.approx(1e6 * (1.0 - 0.93**20) / 0.07, rel=1e-12)
+    assert test._mirrored_ticks == 20
