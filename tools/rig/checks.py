@@ -10,7 +10,7 @@ from rig.bench import Bench, run
 Figures = dict[str, Any]
 
 _BIT_RATE: Final = "500000"
-IDLE_SHARE: Final = 0.8
+IDLE_SHARE: Final = 0.5
 """Of a core: more than the ticks of both axes take on a busy host. A loop that does not wait takes a whole one."""
 
 
