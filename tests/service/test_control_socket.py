@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 
 from tests.service.operators import connect, serve
 from tests.service.rig import World, simulate
+from twostage_servo.axis.state import State
 from twostage_servo.service.address import find_socket, own_socket, prepare_folder
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, encode_in_pieces
 from twostage_servo.service.recorder import Recorder
@@ -167,16 +168,40 @@ def test_of_many_that_connect_at_once_one_is_let_in_between_two_looks_at_the_clo
     serve(path, script)
 
 
-def test_more_clients_than_the_limit_are_told_so(path: Path) -> None:
-    async def script(_: World, __: ControlSocket) -> None:
-        clients = [await connect(path) for _ in range(64)]
-        for client in clients:
-            assert (await client.ask(op="status"))["ok"]
-        assert (await (await connect(path)).answer())["error"]["code"] == "too_many_clients"
-        clients[0].writer.close()
-        await clients[0].writer.wait_closed()
-        await asyncio.sleep(0.05)
-        assert (await (await connect(path)).ask(op="status"))["ok"]
+@pytest.mark.parametrize("watching", [0, 1])
+def test_idle_clients_make_room_for_whoever_wants_to_stop(path: Path, watching: int) -> None:
+    async def script(world: World, control: ControlSocket) -> None:
+        operator, *idle = [await connect(path) for _ in range(64)]
+        assert (await operator.ask(op="arm"))["ok"]
+        await world.until(lambda: world.state() is State.HOLDING)
+        assert (await operator.ask(op="move", position=100.0))["ok"]
+        for client in reversed(idle):
+            assert (await client.ask(op="watch", every=watching) if watching else await client.ask(op="status"))["ok"]
+        await world.seconds(0.5 if watching else 0.0)  # no watcher reads on
+        gone = idle[:-4:-1]  # those that asked before all others did
+        newcomers = [await connect(path) for _ in gone]
+        for client in newcomers:
+            assert (await client.ask(op="stop"))["axis"]["state"] == "stopping"
+        for client in gone:
+            assert b"too_many_clients" in (await client.reader.read()).splitlines()[-1]
+        await world.seconds(0.1)
+        assert len(control._clients) == 64
+        assert world.service.desk.lease.holder is not None  # the operator has not gone
+
+    serve(path, script)
+
+
+def test_a_watcher_that_never_reads_makes_room_as_well(path: Path) -> None:
+    async def script(world: World, control: ControlSocket) -> None:
+        watcher = await connect(path)
+        assert (await watcher.ask(op="watch", every=1))["ok"]
+        (client,) = control._clients
+        await world.until(lambda: client.unsent > 0)
+        for _ in range(64):
+            assert (await (await connect(path)).ask(op="status"))["ok"]
+        await world.seconds(0.1)
+        assert client not in control._clients
+        assert len(control._serving) == 64  # nothing waits for it to read
 
     serve(path, script)
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import itertools
+from typing import Any
 
 import can
 import pytest
@@ -404,3 +405,18 @@ def test_a_bus_that_is_being_opened_is_closed_at_the_end(monkeypatch: pytest.Mon
         assert not link.is_open
 
     simulate(script)
+
+
+def test_how_old_feedback_is_and_how_long_its_answer_takes_is_told_where_it_was_measured() -> None:
+    async def script(world: World) -> Any:
+        before = world.service.snapshot()["frames"]
+        world.wire.disturb = lambda sender, frame, _: [(0.003 if sender == "drive" else 0.0, frame)]
+        await world.seconds(1.0)
+        return before, world.service.snapshot()["frames"]
+
+    before, after = simulate(script)
+    assert before["age_us"] is None
+    assert before["feedback_to_command_us"] is None
+    for name in ("age_us", "feedback_to_command_us"):  # a tick of simulated time takes none
+        assert after[name]["p50"] == pytest.approx(7000.0, rel=0.06)
+        assert after[name]["max"] == pytest.approx(7000.0, abs=1.0)

@@ -1,7 +1,8 @@
 """The control socket: a Unix socket on which each line is a JSON request and each answer a JSON line.
 
 Whoever may open the socket may command the axis: its folder and file permissions decide. A client that does not read is
-sent no more snapshots until it does; nothing here ever makes a tick wait.
+sent no more snapshots until it does; nothing here ever makes a tick wait. Nor do idle clients keep anybody from `stop`:
+when there are too many, the one that has asked for nothing the longest makes room.
 """
 
 import asyncio
@@ -55,6 +56,7 @@ class ControlSocket:
         self.path = path
         self._service = service
         self._connections = itertools.count(1)
+        self._moments = itertools.count()
         self._server: asyncio.Server | None = None
         self._clients: set[_Client] = set()
         self._serving: set[asyncio.Task[None]] = set()
@@ -110,14 +112,14 @@ class ControlSocket:
         task.add_done_callback(self._serving.discard)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        client = _Client(writer, next(self._connections))
         if len(self._clients) >= _MOST_CLIENTS:
-            client.send(encode(_failure("too_many_clients", f"{_MOST_CLIENTS} clients are connected already")))
-            client.close()
-            return
+            self._make_room()
+        client = _Client(writer, next(self._connections))
+        client.asked = next(self._moments)
         self._clients.add(client)
         try:
             while line := await self._read_line(client, reader):
+                client.asked = next(self._moments)
                 # A turn for each request, and for each piece of a long answer: a tick may come between.
                 async with self._service.turns.turn(urgent=any(word in line for word in _URGENT)):
                     answer = self._answer(client, line)
@@ -142,6 +144,15 @@ class ControlSocket:
             client.close()
             with contextlib.suppress(OSError):  # the other side may be gone already, which ends it as well
                 await writer.wait_closed()
+
+    def _make_room(self) -> None:
+        """End the connection that has asked for nothing the longest, but not that of the client which commands."""
+        holder = self._service.desk.lease.holder
+        client = min((one for one in self._clients if one.peer != holder), key=lambda one: one.asked)
+        self._log.warning("a client had to make room", peer=client.peer, clients=len(self._clients))
+        self._clients.discard(client)
+        client.send(encode(_failure("too_many_clients", f"{_MOST_CLIENTS} clients, and this one was idle the longest")))
+        client.end()
 
     @staticmethod
     async def _let_others_go(writer: asyncio.StreamWriter) -> None:
@@ -183,6 +194,7 @@ class _Client:
         self._writer = writer
         self.every = 0
         self.axis: str | None = None
+        self.asked = 0
         self.due = 0
         self.unsent = 0
         self.busy = False
@@ -207,6 +219,13 @@ class _Client:
 
     def abort(self) -> None:
         self._writer.transport.abort()
+
+    def end(self) -> None:
+        """Close; what has not been sent by now is lost, so that nothing waits for a client that does not read."""
+        if self._writer.transport.get_write_buffer_size():
+            self.abort()
+        else:
+            self.close()
 
 
 def encode(answer: Answer) -> bytes:

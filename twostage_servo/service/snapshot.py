@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from twostage_servo import __version__
 from twostage_servo.axis.state import DRIVEN
+from twostage_servo.service.statistics import TimeHistogram
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService
@@ -93,8 +94,8 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "reordered": axis.drive.monitor.reordered,
             "recent_errors": axis.drive.monitor.recent_errors,
             "predicted": axis.motion.predicted,
-            "age_us": receiver.frame_age.summary(),
-            "feedback_to_command_us": station.feedback_to_command.summary(),
+            "age_us": _measured(receiver.frame_age),
+            "feedback_to_command_us": _measured(station.feedback_to_command),
         },
         "bus": {
             "channel": port.link.settings.channel,
@@ -105,6 +106,11 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "error_counters": port.link.error_counters,
         },
     }
+
+
+def _measured(times: TimeHistogram) -> dict[str, float] | None:
+    """Return None rather than zeros where nothing has been measured: not every bus dates its frames."""
+    return times.summary() if times.count else None
 
 
 def ready_for_json(values: Iterable[Any]) -> list[Any]:
