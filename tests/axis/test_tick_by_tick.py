@@ -372,7 +372,14 @@ def test_trips_say_their_numbers() -> None:
     rig.axis.arm()
     rig.seconds(0.6)
     assert rig.axis.trip is not None
-    assert rig.axis.trip.cause.endswith("within 500 ms")
+    assert rig.axis.trip.cause == "the drive has not reported that it is enabled within 500 ms of arming"
+    rig = AxisRig().seconds(0.05)
+    rig.axis.arm()
+    while rig.axis.trip is None and rig.tick_index < 200:
+        rig.tick(missed=1)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code == TripCode.DRIVE_NOT_ENABLED
+    assert rig.axis.trip.cause.startswith("two fresh samples in a row, without a missed tick between, have not come")
 
 
 def test_in_the_tick_of_a_trip_that_disables_no_effort_goes_out() -> None:

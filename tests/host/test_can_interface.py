@@ -62,6 +62,7 @@ def test_an_interface_that_is_set_up_well(tmp_path: Path) -> None:
         (
             "bus interface",
             "transmit queue",
+            "frames",
             "bus controller",
             "bus mode",
             "bit rate",
@@ -114,6 +115,26 @@ def test_an_output_that_is_not_understood_is_skipped(tmp_path: Path, output: str
     assert found(check(tmp_path, output), "bus controller")[0] is Status.SKIP
 
 
+@pytest.mark.parametrize(
+    ("mtu", "fd", "status", "words"),
+    [
+        (16, False, Status.OK, "carries classic frames; the service sends classic ones"),
+        (72, False, Status.OK, "carries classic and CAN FD frames; the service sends classic ones"),
+        (72, True, Status.OK, "the service sends CAN FD ones"),
+        (16, True, Status.FAIL, "bus.fd is true, but can0 carries classic frames only (mtu 16)"),
+        (None, True, Status.SKIP, "does not tell"),
+    ],
+)
+def test_an_interface_has_to_carry_the_frames_that_are_sent(
+    tmp_path: Path, mtu: int | None, fd: bool, status: Status, words: str
+) -> None:
+    output = json.dumps([{**healthy(), "mtu": mtu}])
+    result = check_can_interface(fake_host(tmp_path, UP, lambda _: output), "can0", fd=fd)
+    got, text = found(result, "frames")
+    assert got is status
+    assert words in text
+
+
 def test_a_virtual_interface_has_no_controller(tmp_path: Path) -> None:
     link = {**healthy(), "linkinfo": {"info_kind": "vcan"}}
     result = check(tmp_path, link)
@@ -144,7 +165,7 @@ def test_states_of_the_controller(tmp_path: Path, state: str | None, status: Sta
 @pytest.mark.parametrize(
     ("modes", "status", "words"),
     [
-        (["FD"], Status.OK, "CAN FD"),
+        (["FD"], Status.OK, "FD"),
         (["LISTEN-ONLY"], Status.FAIL, "listen-only off"),
         (["LOOPBACK", "FD"], Status.FAIL, "loopback off"),
         (["ONE-SHOT"], Status.WARN, "one-shot off"),

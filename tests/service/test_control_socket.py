@@ -1,6 +1,7 @@
 """The control socket: real connections to the real service, in simulated time."""
 
 import asyncio
+import contextlib
 import itertools
 import json
 import math
@@ -10,6 +11,7 @@ import stat
 import subprocess
 import sys
 import tempfile
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +23,7 @@ from tests.service.operators import connect, serve
 from tests.service.rig import World, simulate
 from twostage_servo.axis.state import State
 from twostage_servo.service.address import find_socket, own_socket, prepare_folder
-from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, encode_in_pieces
+from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, encode, encode_in_pieces
 from twostage_servo.service.recorder import Recorder
 from twostage_servo.service.requests import Request
 
@@ -168,25 +170,55 @@ def test_of_many_that_connect_at_once_one_is_let_in_between_two_looks_at_the_clo
     serve(path, script)
 
 
-@pytest.mark.parametrize("watching", [0, 1])
-def test_idle_clients_make_room_for_whoever_wants_to_stop(path: Path, watching: int) -> None:
+def test_idle_clients_make_room_for_whoever_wants_to_stop(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
-        operator, *idle = [await connect(path) for _ in range(64)]
+        operator, watcher, *idle = [await connect(path) for _ in range(64)]
+        assert (await watcher.ask(op="watch", every=1))["ok"]
         assert (await operator.ask(op="arm"))["ok"]
         await world.until(lambda: world.state() is State.HOLDING)
         assert (await operator.ask(op="move", position=100.0))["ok"]
         for client in reversed(idle):
-            assert (await client.ask(op="watch", every=watching) if watching else await client.ask(op="status"))["ok"]
-        await world.seconds(0.5 if watching else 0.0)  # no watcher reads on
+            assert (await client.ask(op="status"))["ok"]
+        await world.seconds(0.1)
         gone = idle[:-4:-1]  # those that asked before all others did
         newcomers = [await connect(path) for _ in gone]
         for client in newcomers:
             assert (await client.ask(op="stop"))["axis"]["state"] == "stopping"
         for client in gone:
-            assert b"too_many_clients" in (await client.reader.read()).splitlines()[-1]
+            assert (await client.answer())["error"]["code"] == "too_many_clients"
+            assert await client.reader.read() == b""
         await world.seconds(0.1)
         assert len(control._clients) == 64
         assert world.service.desk.lease.holder is not None  # the operator has not gone
+        assert (await idle[0].ask(op="status"))["ok"]
+        assert any(client.every for client in control._clients)  # nor has the watcher, who reads
+
+    serve(path, script)
+
+
+@pytest.mark.parametrize(("op", "state"), [("move", State.HOLDING), ("stop", State.STOPPING)])
+def test_a_client_that_was_told_to_go_moves_nothing_but_may_stop(path: Path, op: str, state: State) -> None:
+    async def script(world: World, control: ControlSocket) -> None:
+        client = await connect(path)
+        assert (await client.ask(op="arm"))["ok"]
+        await world.until(lambda: world.state() is State.HOLDING)
+        if op == "stop":
+            assert (await client.ask(op="move", position=100.0))["ok"]
+        assert (await client.ask(op="release"))["ok"]  # whoever commands need not make room
+        turn = world.service.turns.turn
+
+        @contextlib.asynccontextmanager
+        async def late_turn(*, urgent: bool = False) -> AsyncIterator[None]:
+            async with turn(urgent=urgent):
+                control._make_room()  # while it waited for its turn
+                yield
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(world.service.turns, "turn", late_turn)
+            client.writer.write(encode({"op": op} | ({"position": 50.0} if op == "move" else {})))
+            await world.seconds(0.03)
+        assert world.state() is state
+        assert world.service.desk.lease.holder is None
 
     serve(path, script)
 

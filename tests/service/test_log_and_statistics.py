@@ -4,6 +4,7 @@ import io
 import json
 import logging
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -91,6 +92,27 @@ def test_a_stuck_log_drops_lines_and_counts_them() -> None:
     assert stream.getvalue().splitlines() == ["first", *(f"line {number}" for number in range(10))]
 
 
+def test_lines_that_were_lost_are_told_as_soon_as_there_is_room() -> None:
+    stream = StuckStream()
+    writer = open_log("info", stream, capacity=10)
+    log = structlog.get_logger()
+    log.info("first")
+    assert stream.entered.wait(60)
+    for number in range(25):
+        log.info(f"line {number}")
+    stream.let_go.set()
+    while "line 9" not in stream.getvalue():
+        time.sleep(0)
+    log.info("after")
+    log.info("and on")
+    writer.close()
+    told = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [one["event"] for one in told[11:]] == [
+        "after", "log lines were lost: whoever reads the log does not keep up", "and on",
+    ]  # fmt: skip
+    assert (told[12]["level"], told[12]["lines"]) == ("error", 15)
+
+
 def test_a_stream_that_is_gone_is_no_error() -> None:
     stream = io.StringIO()
     stream.close()
@@ -128,6 +150,8 @@ def test_of_a_flood_the_log_has_the_beginning_and_the_number() -> None:
     assert [event and event["tick"] for event in through] == [0, 1, 2, *[None] * 5]
     assert passes(axis="y") is not None  # another axis, and another code, are other kinds
     assert passes(code="busy") is not None
+    assert passes(op="reset") is not None  # as are another request and another state
+    assert passes(now="tripped") is not None
     now_s = 10.0
     assert passes(tick=9) == {"event": "refused", "tick": 9, "left_out": 5}
     now_s = 20.0

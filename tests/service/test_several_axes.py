@@ -8,6 +8,7 @@ from typing import Any
 
 import can
 import pytest
+import structlog
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Command, Refused
@@ -244,6 +245,32 @@ def test_an_axis_that_is_disarmed_for_another_gets_no_effort_from_that_tick_on(t
         disarmed = [record for record in list(station.recorder.records())[-30:] if record.state is State.DISARMED]
         assert len(disarmed) > 10
         assert all(record.effort == 0.0 for record in disarmed)
+
+    operate(path, script)
+
+
+@pytest.mark.parametrize(
+    ("reaction", "after"), [("continue", State.HOLDING), ("stop", State.DISARMED), ("quick_stop", State.DISARMED)]
+)
+def test_an_axis_that_is_being_armed_is_not_armed_when_another_one_trips(
+    tmp_path: Path, reaction: str, after: State
+) -> None:
+    pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1), "z": axis_page("z", "can0", offset=2)}
+    path = machine_file(tmp_path, pages, f'when_one_trips = "{reaction}"\n')
+
+    async def script(plant: Plant) -> None:
+        await plant.until(lambda: all(plant.axis(name).ready_to_arm for name in "xyz"))
+        plant.ask(op="arm", axis="x")
+        plant.ask(op="arm", axis="z")
+        await plant.until(lambda: plant.axis("x").state is plant.axis("z").state is State.HOLDING)
+        plant.ask(op="arm", axis="y")
+        assert plant.axis("y").state is State.ARMING
+        with structlog.testing.capture_logs() as told:
+            plant.axis("x").raise_trip(TripCode.FOLLOWING_ERROR, "test")
+            await asyncio.sleep(0.2)
+        assert plant.states() == [State.TRIPPED, after, State.HOLDING]
+        reacted = [one for one in told if one["event"] == "another axis has tripped"]
+        assert [(one["axis"], one["now"]) for one in reacted] == ([] if reaction == "continue" else [("y", after)])
 
     operate(path, script)
 

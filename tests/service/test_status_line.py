@@ -6,6 +6,17 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.status_line import WORDS, StatusLine, status_line
 
 
+class Told:
+    """A manager that takes each line."""
+
+    def __init__(self, lines: list[str]) -> None:
+        self._lines = lines
+
+    def __call__(self, line: str) -> bool:
+        self._lines.append(line)
+        return True
+
+
 def test_every_state_has_its_words() -> None:
     assert set(WORDS) == set(State)
 
@@ -13,13 +24,35 @@ def test_every_state_has_its_words() -> None:
 def test_what_an_axis_does_is_told_once_a_change() -> None:
     async def script(world: World) -> None:
         lines: list[str] = []
-        world.service.publishers.append(StatusLine(world.service, lines.append).publish)
+        world.service.publishers.append(StatusLine(world.service, Told(lines)).publish)
         await world.cruising()
         await world.until(lambda: world.state() is State.HOLDING)
         await world.seconds(5.0)
         assert [line for line in lines if "bus" not in line and "silent" not in line] == [
             "x disarmed", "x moving", "x holding",
         ]  # fmt: skip
+
+    simulate(script)
+
+
+def test_a_line_that_could_not_be_told_is_told_later() -> None:
+    async def script(world: World) -> None:
+        busy, lines = True, list[str]()
+
+        def show(line: str) -> bool:
+            if not busy:
+                lines.append(line)
+            return not busy
+
+        world.service.publishers.append(StatusLine(world.service, show).publish)
+        await world.armed()
+        world.axis.raise_trip(TripCode.JAM, "nothing moves")
+        await world.seconds(1.0)
+        assert lines == []
+        busy = False
+        await world.seconds(1.0)
+        (line,) = lines
+        assert line.startswith("x tripped (jam)")
 
     simulate(script)
 
@@ -57,7 +90,7 @@ def test_a_silent_drive_a_bus_in_trouble_and_one_that_is_gone_are_told() -> None
 def test_missed_ticks_and_the_end_are_told() -> None:
     async def script(world: World) -> None:
         lines: list[str] = []
-        world.service.publishers.append(StatusLine(world.service, lines.append).publish)
+        world.service.publishers.append(StatusLine(world.service, Told(lines)).publish)
         await world.until(lambda: world.axis.ready_to_arm)
         world.ticks.hold_s = 0.05
         await world.seconds(1.5)

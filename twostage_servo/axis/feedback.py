@@ -25,20 +25,21 @@ class FeedbackMonitor:
     ----------
     lost, doubled, reordered, rejected
         Frames missed, repeated and overtaken so far by the counter, and those that could not be used at all.
+    implausible
+        Samples that were new and whole, but not believed.
     ticks_since_fresh
         Ticks since the last fresh feedback, 0 in a tick that had one; None before the first.
     """
 
     __slots__ = (
-        "_counter", "_errors", "_errors_now", "_modulus", "_rejected_since", "_window", "doubled", "lost",
-        "rejected", "reordered",
-        "ticks_since_fresh",
+        "_counter", "_errors", "_errors_now", "_modulus", "_rejected_since", "_window", "doubled",
+        "implausible", "lost", "rejected", "reordered", "ticks_since_fresh",
     )  # fmt: skip
 
     def __init__(self, counter_modulus: int) -> None:
         self._modulus = counter_modulus
         self._counter: int | None = None
-        self.lost = self.doubled = self.reordered = self.rejected = 0
+        self.lost = self.doubled = self.reordered = self.rejected = self.implausible = 0
         self.ticks_since_fresh: int | None = None
         self._window: deque[int] = deque([0] * _PAST_TICKS, _PAST_TICKS)
         self._errors = 0
@@ -92,6 +93,7 @@ class FeedbackMonitor:
 
     def doubt(self) -> None:
         """Count a sample that was new and whole, but not to be believed."""
+        self.implausible += 1
         self._errors_now += 1
 
     def forget(self) -> None:

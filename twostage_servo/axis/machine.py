@@ -220,9 +220,12 @@ class Machine:
             if moving:  # pushed by hand, or still coasting: caught, not jerked back
                 self._brake(self.settings.limits.acceleration, "stopped")
         elif self._ticks_arming > self._arming_ticks:
+            if self.drive.enabled is False:
+                missing = "the drive has not reported that it is enabled"
+            else:
+                missing = "two fresh samples in a row, without a missed tick between, have not come to tell the speed"
             self.raise_trip(
-                TripCode.DRIVE_NOT_ENABLED,
-                f"the drive has not reported that it is enabled within {self.settings.arming_timeout_ms:g} ms",
+                TripCode.DRIVE_NOT_ENABLED, f"{missing} within {self.settings.arming_timeout_ms:g} ms of arming"
             )
 
     def _drive(self) -> Command:

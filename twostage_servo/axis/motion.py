@@ -64,7 +64,7 @@ class Motion:
         self._ticks_since_tracked = 0
         self._was_outlier = False  # whether it was not where the model expects it
         self._speed_of_late = 0.0
-        self._effort = 0.0  # what acts, also while the law does not run
+        self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
         self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
         self._resolution = 1.5 * resolution
         self._recent: deque[float] = deque(maxlen=design.ticks(design.settings.limits.jam_time_ms) + 1)

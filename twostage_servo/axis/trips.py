@@ -95,7 +95,8 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.FEEDBACK_ERRORS: TripRule(
         _QUICK,
-        "Look for a bad cable, a missing termination or a second node with this identifier, then `reset` and `arm`.",
+        "If `frames` in `status` counts `implausible` samples, check the encoder and axis.limits.innovation; else look "
+        "for a bad cable, a missing termination or a second node with this identifier. Then `reset` and `arm`.",
         blind=True,
     ),
     TripCode.POSITION_JUMP: TripRule(
@@ -169,7 +170,8 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.DRIVE_NOT_ENABLED: TripRule(
         _DISABLE,
-        "The drive did not follow the enable bit: check its fault code and safety inputs, then `reset` and `arm`.",
+        "If the drive did not follow the enable bit, check its fault code and safety inputs; if samples were missing, "
+        "its bus, and the host with `twostage-servo doctor`. Then `reset` and `arm`.",
     ),
     TripCode.DRIVE_REBOOTED: TripRule(
         _DISABLE,

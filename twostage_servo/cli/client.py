@@ -84,15 +84,14 @@ class Client:
             self._socket.sendall(json.dumps(fields, allow_nan=False).encode() + b"\n")
         except ValueError as error:
             raise CommandError(ExitCode.USAGE, "bad_request", "a number must be finite") from error
+        except (BrokenPipeError, ConnectionResetError):
+            pass  # what was said last, before the connection was closed, is still to be read
         except OSError as error:
             raise self._lost(error) from error
         answer = self._read()
         while answer.get("event"):  # snapshots that were under way
             answer = self._read()
-        if not answer["ok"]:
-            failure = answer["error"]
-            code = ExitCode.USAGE if failure["code"] in BAD_USAGE else ExitCode.FAILED
-            raise CommandError(code, failure["code"], failure["message"])
+        _raise_failure(answer)
         return answer
 
     def watch(self, every: int) -> Iterator[Answer]:
@@ -101,6 +100,7 @@ class Client:
         self._socket.settimeout(self._timeout_s + every * _LONGEST_TICK_S)
         while True:
             snapshot = self._read()
+            _raise_failure(snapshot)
             del snapshot["event"]
             yield snapshot
 
@@ -112,10 +112,19 @@ class Client:
             raise CommandError(ExitCode.UNREACHABLE, "no_answer", text) from error
         except OSError as error:
             raise self._lost(error) from error
-        if not line:
+        if not line.endswith(b"\n"):
             raise self._lost("the connection was closed")
         answer: Answer = json.loads(line)
         return answer
 
     def _lost(self, error: object) -> CommandError:
         return CommandError(ExitCode.UNREACHABLE, "connection_lost", f"the service at {self.path} is gone: {error}")
+
+
+def _raise_failure(answer: Answer) -> None:
+    """Raise what a failure says; let any other line pass."""
+    if answer.get("ok", True):
+        return
+    failure = answer["error"]
+    code = ExitCode.USAGE if failure["code"] in BAD_USAGE else ExitCode.FAILED
+    raise CommandError(code, failure["code"], failure["message"])

@@ -239,7 +239,7 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
         bus = axes[0].config.bus
         bit_rate = bus.bitrate
         if bus.interface == "socketcan":
-            interface = check_can_interface(host, str(bus.channel))
+            interface = check_can_interface(host, str(bus.channel), fd=bus.fd)
             findings += interface.findings
             bit_rate = interface.bit_rate or bit_rate
         else:

@@ -9,6 +9,8 @@ from twostage_servo.host.findings import Finding, Host, Status
 _ARPHRD_CAN: Final = "280"  # linux/if_arp.h
 _IFF_UP: Final = 1  # linux/if.h
 _LONGEST_QUEUE: Final = 100
+_FD_MTU: Final = 72
+"""Bytes of struct canfd_frame, linux/can.h: an interface that takes them says so by its mtu."""
 _SAMPLE_POINTS: Final = (0.75, 0.9)
 """CiA 301 recommends 87.5 % of the bit time, and controllers cannot always meet it; nodes of one bus should agree."""
 
@@ -33,7 +35,7 @@ class CanInterface:
         self.findings.append(Finding(name, status, found, remedy))
 
 
-def check_can_interface(host: Host, channel: str) -> CanInterface:
+def check_can_interface(host: Host, channel: str, *, fd: bool = False) -> CanInterface:
     """Check a SocketCAN interface, as far as sysfs and `ip` tell.
 
     Parameters
@@ -42,6 +44,8 @@ def check_can_interface(host: Host, channel: str) -> CanInterface:
         Where to look.
     channel
         Name of the interface, such as ``can0``.
+    fd
+        Whether CAN FD frames are to be sent on it.
     """
     result = CanInterface()
     if not _check_presence(host, channel, result):
@@ -59,6 +63,7 @@ def check_can_interface(host: Host, channel: str) -> CanInterface:
         result.add("bus controller", Status.SKIP, "this version of ip does not print JSON")
         return result
     _check_queue(channel, link, result)
+    _check_frames(channel, link, result, fd=fd)
     info = _table(link, "linkinfo")
     kind, data = info.get("info_kind"), _table(info, "info_data")
     if kind != "can" or not data:
@@ -165,6 +170,21 @@ def _check_state(channel: str, data: dict[str, Any], statistics: dict[str, Any],
         result.add("bus controller", Status.SKIP, f"its state is {state}")
 
 
+def _check_frames(channel: str, link: dict[str, Any], result: CanInterface, *, fd: bool) -> None:
+    size = _number(link.get("mtu"))
+    if size is None:
+        result.add("frames", Status.SKIP, "ip does not tell the interface's mtu")
+    elif fd and size < _FD_MTU:
+        result.add(
+            "frames", Status.FAIL, f"bus.fd is true, but {channel} carries classic frames only (mtu {size:g})",
+            f"set bus.fd = false, or: sudo ip link set {channel} down && sudo ip link set {channel} up type can "
+            "bitrate RATE dbitrate RATE fd on (a vcan: mtu 72)",
+        )  # fmt: skip
+    else:
+        able = "classic and CAN FD frames" if size >= _FD_MTU else "classic frames"
+        result.add("frames", Status.OK, f"it carries {able}; the service sends {'CAN FD' if fd else 'classic'} ones")
+
+
 def _check_modes(channel: str, data: dict[str, Any], result: CanInterface) -> None:
     listed = data.get("ctrlmode")
     modes = [str(mode) for mode in listed] if isinstance(listed, list) else []
@@ -182,8 +202,6 @@ def _check_modes(channel: str, data: dict[str, Any], result: CanInterface) -> No
         remedy = f"sudo ip link set {channel} down && sudo ip link set {channel} up type can {option} off"
         result.add("bus mode", Status.WARN, f"{found}: a command that nobody took is not repeated", remedy)
         return
-    if "FD" in modes:
-        found += " (CAN FD; the service sends and takes classic frames)"
     result.add("bus mode", Status.OK, found)
 
 

@@ -2,7 +2,7 @@
 
 Whoever may open the socket may command the axis: its folder and file permissions decide. A client that does not read is
 sent no more snapshots until it does; nothing here ever makes a tick wait. Nor do idle clients keep anybody from `stop`:
-when there are too many, the one that has asked for nothing the longest makes room.
+when there are too many, the one that has been idle the longest makes room.
 """
 
 import asyncio
@@ -22,7 +22,7 @@ from pydantic import ValidationError
 from twostage_servo.axis.messages import Refused
 from twostage_servo.service.address import prepare_folder
 from twostage_servo.service.requests import READING, REQUESTS, JogRequest, WatchRequest
-from twostage_servo.service.snapshot import ready_for_json
+from twostage_servo.service.snapshot import ready_for_json, report_service
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService
@@ -33,6 +33,10 @@ _LONGEST_LINE = 65_536
 _MOST_CLIENTS = 64
 _MOST_UNREAD = 262_144
 _RECORDS_A_PIECE = 50
+_TOO_MANY = (
+    f"{_MOST_CLIENTS} clients are the most, and this one was idle the longest. Connect again; "
+    "`ss -xp` shows which processes hold the others"
+)
 _URGENT = (b'"stop"', b'"disarm"')
 """What makes a line urgent, whatever else it says: it is looked for before the line has been read as JSON."""
 
@@ -99,12 +103,15 @@ class ControlSocket:
     def publish(self, tick: int) -> None:
         """Send a snapshot to the watchers for which one is due; make it only if there are any."""
         lines: dict[str | None, bytes] = {}
+        common: Answer | None = None
         for client in list(self._clients):
             if client.every and tick >= client.due and not client.busy:
                 client.due = tick + client.every
                 if client.axis not in lines:
-                    lines[client.axis] = encode({"event": "snapshot", **self._service.snapshot(client.axis)})
-                client.send_unless_behind(lines[client.axis])
+                    common = report_service(self._service) if common is None else common
+                    lines[client.axis] = encode({"event": "snapshot", **self._service.snapshot(client.axis, common)})
+                if client.send_unless_behind(lines[client.axis]):
+                    client.active = next(self._moments)
 
     def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.create_task(self._serve(reader, writer))
@@ -115,13 +122,16 @@ class ControlSocket:
         if len(self._clients) >= _MOST_CLIENTS:
             self._make_room()
         client = _Client(writer, next(self._connections))
-        client.asked = next(self._moments)
+        client.active = next(self._moments)
         self._clients.add(client)
         try:
             while line := await self._read_line(client, reader):
-                client.asked = next(self._moments)
+                client.active = next(self._moments)
+                urgent = any(word in line for word in _URGENT)
                 # A turn for each request, and for each piece of a long answer: a tick may come between.
-                async with self._service.turns.turn(urgent=any(word in line for word in _URGENT)):
+                async with self._service.turns.turn(urgent=urgent):
+                    if client not in self._clients and not urgent:
+                        break  # it has been told that its connection ends, and must not set an axis moving after that
                     answer = self._answer(client, line)
                     pieces = encode_in_pieces(answer)
                     client.busy = True
@@ -146,13 +156,15 @@ class ControlSocket:
                 await writer.wait_closed()
 
     def _make_room(self) -> None:
-        """End the connection that has asked for nothing the longest, but not that of the client which commands."""
+        """End the connection that has been idle the longest, but not that of the client which commands.
+
+        A watcher that takes its snapshots is not idle. One in the middle of a long answer goes last.
+        """
         holder = self._service.desk.lease.holder
-        client = min((one for one in self._clients if one.peer != holder), key=lambda one: one.asked)
+        client = min((one for one in self._clients if one.peer != holder), key=lambda one: (one.busy, one.active))
         self._log.warning("a client had to make room", peer=client.peer, clients=len(self._clients))
         self._clients.discard(client)
-        client.send(encode(_failure("too_many_clients", f"{_MOST_CLIENTS} clients, and this one was idle the longest")))
-        client.end()
+        client.end(encode(_failure("too_many_clients", _TOO_MANY)))
 
     @staticmethod
     async def _let_others_go(writer: asyncio.StreamWriter) -> None:
@@ -194,7 +206,7 @@ class _Client:
         self._writer = writer
         self.every = 0
         self.axis: str | None = None
-        self.asked = 0
+        self.active = 0
         self.due = 0
         self.unsent = 0
         self.busy = False
@@ -206,13 +218,14 @@ class _Client:
         if not self._writer.is_closing():
             self._writer.write(data)
 
-    def send_unless_behind(self, line: bytes) -> None:
+    def send_unless_behind(self, line: bytes) -> bool:
         if self._writer.is_closing():
-            return
+            return False
         if self._writer.transport.get_write_buffer_size() > _MOST_UNREAD:
             self.unsent += 1
-        else:
-            self._writer.write(line)
+            return False
+        self._writer.write(line)
+        return True
 
     def close(self) -> None:
         self._writer.close()
@@ -220,8 +233,12 @@ class _Client:
     def abort(self) -> None:
         self._writer.transport.abort()
 
-    def end(self) -> None:
-        """Close; what has not been sent by now is lost, so that nothing waits for a client that does not read."""
+    def end(self, line: bytes) -> None:
+        """Say a last line and close, if that can be done without waiting for the client; else cut it off."""
+        if self.busy or self._writer.transport.get_write_buffer_size():
+            self.abort()
+            return
+        self.send(line)
         if self._writer.transport.get_write_buffer_size():
             self.abort()
         else:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Literal
 
 import structlog
 
-from twostage_servo.axis.state import BRAKING, COMMANDED, ENABLED, LATCHED
+from twostage_servo.axis.state import BRAKING, COMMANDED, ENABLED, LATCHED, State
 from twostage_servo.service.station import Station
 
 if TYPE_CHECKING:
@@ -21,7 +21,8 @@ class Group:
     ----------
     reaction
         What becomes of an axis that moves, or holds, while another one trips: it goes on; it comes to rest and holds;
-        it does so with its quick stop deceleration; or it comes to rest and is disarmed.
+        it does so with its quick stop deceleration; or it comes to rest and is disarmed. Unless it is to go on, one
+        that is only just being armed is disarmed.
     """
 
     def __init__(self, reaction: GroupReaction) -> None:
@@ -45,9 +46,10 @@ class Group:
             axis = other.axis
             if other is tripped or axis.state in LATCHED or axis.state not in ENABLED:
                 continue
-            reason = f"{tripped.name} has tripped (machine.when_one_trips is {self._reaction})"
-            self._log.warning("another axis has tripped", axis=other.name, tripped=tripped.name, now=self._reaction)
+            before = axis.state
             if self._reaction == "disarm":
                 axis.disarm()
-            elif axis.state in COMMANDED or (quick and axis.state in BRAKING):
-                axis.stop(reason, quick=quick)
+            elif before in COMMANDED or before is State.ARMING or (quick and before in BRAKING):
+                axis.stop(f"{tripped.name} has tripped (machine.when_one_trips is {self._reaction})", quick=quick)
+            if axis.state is not before:
+                self._log.warning("another axis has tripped", axis=other.name, tripped=tripped.name, now=axis.state)

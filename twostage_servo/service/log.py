@@ -13,17 +13,25 @@ import structlog
 from twostage_servo.service.journal import JournalStream, goes_to_the_journal
 
 _END: Final = None
-_KIND: Final = ("event", "axis", "bus", "code")
+_KIND: Final = ("event", "axis", "bus", "code", "op", "now")
 _MOST_KINDS: Final = 1000
 
 
 class LogWriter:
-    """Hands finished lines to a thread that writes them; when the queue is full, lines are dropped and counted."""
+    """Hands finished lines to a thread that writes them; when the queue is full, lines are dropped and counted.
+
+    Attributes
+    ----------
+    dropped
+        Lines that were lost; a line that has room again is followed by one that tells their number.
+    restore
+        Gives the process its former logging back.
+    """
 
     def __init__(self, stream: "TextIO | JournalStream", capacity: int = 1000) -> None:
         self._stream = stream
         self._queue: queue.Queue[str | None] = queue.Queue(capacity)
-        self.dropped = 0
+        self.dropped = self._told = 0
         self.restore: Callable[[], None] = structlog.reset_defaults
         self._thread = threading.Thread(target=self._write, name="log", daemon=True)
         self._thread.start()
@@ -34,6 +42,10 @@ class LogWriter:
             self._queue.put_nowait(line)
         except queue.Full:
             self.dropped += 1
+            return
+        if lost := self.dropped - self._told:
+            self._told += lost
+            structlog.get_logger().error("log lines were lost: whoever reads the log does not keep up", lines=lost)
 
     log = debug = info = warning = error = critical = msg
 
@@ -58,10 +70,10 @@ class LogWriter:
 
 
 class RateLimit:
-    """Lets no event of one kind through more than so often: of a flood, the log has the beginning and the number.
+    """Lets no event of one kind through more than so often: of a flood, the log has the beginning.
 
-    Of one kind are events of the same text, axis, bus and code. What was left out is told with the next one of its kind
-    that is let through, as ``left_out``.
+    Of one kind are events of the same text, axis, bus and code, of the same request and of the same new state: a flood
+    of set-points hides nobody's reset. How many were left out is told with the next one of their kind, as ``left_out``.
 
     Parameters
     ----------

@@ -196,18 +196,18 @@ class ServoService:
         """Carry out a request of a client; see :meth:`Desk.handle`."""
         return self.desk.handle(request, client)
 
-    def snapshot(self, name: str | None = None) -> dict[str, Any]:
+    def snapshot(self, name: str | None = None, common: dict[str, Any] | None = None) -> dict[str, Any]:
         """Return the state of service and axes, ready for JSON.
 
         The reports of the axes stand under ``axes``, by their names; that of the only axis, or of the one that is
-        named, stands beside what all have in common.
+        named, stands beside what all have in common. Whoever needs several passes on what :func:`report_service` says.
 
         Raises
         ------
         KeyError
             If no axis has this name.
         """
-        common = report_service(self)
+        common = report_service(self) if common is None else common
         if name is None and len(self.stations) > 1:
             return common | {"axes": {station.name: station.report() for station in self.stations}}
         return common | self.station(name).report()

@@ -47,9 +47,9 @@ class Notifier:
         """Say that the service is ending."""
         self._send("STOPPING=1")
 
-    def status(self, text: str) -> None:
-        """Show a line to whoever asks the manager."""
-        self._send(f"STATUS={text}")
+    def status(self, text: str) -> bool:
+        """Show a line to whoever asks the manager; return whether it has been told, or there is none."""
+        return self._send(f"STATUS={text}")
 
     def tick_completed(self, now_s: float) -> None:
         """Give a sign of life, four times in the time that the manager waits; ``now_s`` is the loop's time in s."""
@@ -63,10 +63,11 @@ class Notifier:
             self._socket.close()
             self._socket = None
 
-    def _send(self, message: str) -> None:
+    def _send(self, message: str) -> bool:
         if self._socket is None:
-            return
+            return True
         try:
             self._socket.sendto(message.encode(), self._address)
-        except OSError:  # the manager is gone or busy; a sign that does not arrive is what its watchdog is for
-            return
+        except OSError:  # the manager is gone or busy; a sign of life that does not arrive is what its watchdog is for
+            return False
+        return True

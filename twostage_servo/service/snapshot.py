@@ -92,6 +92,7 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "lost": axis.drive.monitor.lost,
             "doubled": axis.drive.monitor.doubled,
             "reordered": axis.drive.monitor.reordered,
+            "implausible": axis.drive.monitor.implausible,
             "recent_errors": axis.drive.monitor.recent_errors,
             "predicted": axis.motion.predicted,
             "age_us": _measured(receiver.frame_age),

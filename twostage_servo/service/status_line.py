@@ -39,10 +39,10 @@ class StatusLine:
     service
         What it is about.
     show
-        Called with each new line; must not wait.
+        Called with each new line, returns whether it could be told; must not wait.
     """
 
-    def __init__(self, service: "ServoService", show: "Callable[[str], None]") -> None:
+    def __init__(self, service: "ServoService", show: "Callable[[str], bool]") -> None:
         self._service = service
         self._show = show
         self._shown = ""
@@ -60,9 +60,8 @@ class StatusLine:
         if tick.index >= self._next_look:
             self._next_look = tick.index + max(1, self._ticks_a_second // 10)
             line = status_line(self._service, self._missed_lately)
-            if line != self._shown:
+            if line != self._shown and self._show(line):
                 self._shown = line
-                self._show(line)
 
 
 def status_line(service: "ServoService", missed_lately: int) -> str:

@@ -1,0 +1,62 @@
+"""What a client makes of a service that ends its connection."""
+
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from twostage_servo.cli.client import Client
+from twostage_servo.cli.output import CommandError
+
+FAILURE = {"ok": False, "error": {"code": "too_many_clients", "message": "connect again"}}
+
+
+@pytest.fixture
+def connected(tmp_path: Path) -> Iterator[tuple[Client, socket.socket]]:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
+        listener.listen()
+        client = Client(tmp_path / "s")
+        service, _ = listener.accept()
+        with service:
+            yield client, service
+        client._lines.close()
+        client._socket.close()
+
+
+def lines(*answers: object) -> bytes:
+    return b"".join(json.dumps(answer).encode() + b"\n" for answer in answers)
+
+
+def test_a_watcher_that_has_to_make_room_is_told_so(connected: tuple[Client, socket.socket]) -> None:
+    client, service = connected
+    service.sendall(lines({"ok": True}, {"event": "snapshot", "n": 1}, FAILURE))
+    service.close()
+    watched = client.watch(1)
+    assert next(watched) == {"n": 1}
+    with pytest.raises(CommandError, match="connect again") as caught:
+        next(watched)
+    assert caught.value.code == "too_many_clients"
+
+
+def test_half_a_line_is_a_lost_connection(connected: tuple[Client, socket.socket]) -> None:
+    client, service = connected
+    service.sendall(b'{"ok": tr')
+    service.shutdown(socket.SHUT_WR)
+    with pytest.raises(CommandError, match="is gone: the connection was closed") as caught:
+        client.request(op="status")
+    assert caught.value.code == "connection_lost"
+
+
+@pytest.mark.parametrize(("last", "code"), [((FAILURE,), "too_many_clients"), ((), "connection_lost")])
+def test_what_was_said_last_is_read_though_nothing_can_be_sent_any_more(
+    connected: tuple[Client, socket.socket], last: tuple[object, ...], code: str
+) -> None:
+    client, service = connected
+    service.sendall(lines(*last))
+    service.close()
+    with pytest.raises(CommandError) as caught:
+        client.request(op="stop")
+    assert caught.value.code == code
