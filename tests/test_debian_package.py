@@ -110,10 +110,10 @@ def test_a_maintainers_script_is_one_that_a_shell_can_read(script: str) -> None:
 
 
 def test_the_control_file_has_what_dpkg_needs() -> None:
-    text = control_text("arm64", (3, 11), (2, 28), 1234)
+    text = control_text("1.2+3", "arm64", (3, 11), (2, 28), 1234)
     fields = dict(line.split(": ", 1) for line in text.splitlines() if not line.startswith(" "))
     assert fields["Package"] == "twostage-servo"
-    assert fields["Version"] == build_module.version()
+    assert fields["Version"] == "1.2+3"
     assert fields["Architecture"] == "arm64"
     assert fields["Installed-Size"] == "1234"
     needs = fields["Depends"].split(", ")
@@ -151,9 +151,17 @@ def test_the_copyright_names_the_licence_of_each_package(tmp_path: Path) -> None
         assert f"\n {line}\n" in text
 
 
+def test_a_later_build_is_a_newer_version() -> None:
+    assert build_module.version(0).endswith("+19700101000000")
+    assert build_module.version(DATE) < build_module.version(DATE + 1)
+
+
 def test_the_package_has_units_link_and_documents(stage: Stage) -> None:
     documents = [f"usr/share/doc/twostage-servo/examples/{name}" for name in EXAMPLES]
-    documents += [f"usr/share/doc/twostage-servo/{name}" for name in ("changelog.gz", "copyright", "packages.txt")]
+    pages = [str(page.relative_to(TOOLS.parent)) for page in (TOOLS.parent / "docs").rglob("*") if page.is_file()]
+    assert "docs/operations.md" in pages
+    pages += ["README.md", "changelog.gz", "copyright", "packages.txt"]
+    documents += [f"usr/share/doc/twostage-servo/{name}" for name in pages]
     units = service_files(PROGRAM, 500_000, vendor=True)
     assert stage.files() == sorted([*units, *documents, "usr/bin/twostage-servo"])
     for path, text in units.items():
@@ -173,7 +181,7 @@ def test_the_examples_are_complete(stage: Stage) -> None:
 def test_what_is_packed_is_roots_and_comes_out_as_it_went_in(stage: Stage, tmp_path: Path) -> None:
     listed = stage.files()
     package = pack(stage, tmp_path, "all", DATE)
-    assert package.name == f"twostage-servo_{build_module.version()}_all.deb"
+    assert package.name == f"twostage-servo_{build_module.version(DATE)}_all.deb"
     told = subprocess.run(["dpkg-deb", "--contents", package], capture_output=True, text=True, check=True).stdout  # noqa: S603, S607
     rows = [line.split(maxsplit=5) for line in told.splitlines()]
     assert {row[1] for row in rows} == {"root/root"}

@@ -18,6 +18,7 @@ import sys
 import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from importlib.metadata import Distribution, distributions
 from pathlib import Path
 from typing import Any, Final
@@ -50,17 +51,22 @@ class BuildError(Exception):
     """The package cannot be built; the text says why, and what to do."""
 
 
-def version() -> str:
-    """Return the version of the tree."""
+def version(date: int) -> str:
+    """Return the package's version: the tree's, and the date of its newest source, s since 1970.
+
+    So apt can tell one build between two releases from another, and which of them is the newer one.
+    """
     found: str = tomllib.loads((TREE / "pyproject.toml").read_text("utf-8"))["project"]["version"]
-    return found
+    return f"{found}+{datetime.fromtimestamp(date, UTC):%Y%m%d%H%M%S}"
 
 
-def control_text(architecture: str, python: tuple[int, int], libc: tuple[int, int], size_kib: int) -> str:
+def control_text(build: str, architecture: str, python: tuple[int, int], libc: tuple[int, int], size_kib: int) -> str:
     """Return the package's control file.
 
     Parameters
     ----------
+    build
+        The package's version.
     architecture
         As Debian calls it.
     python
@@ -76,7 +82,7 @@ def control_text(architecture: str, python: tuple[int, int], libc: tuple[int, in
         "libstdc++6", "systemd", "udev",
     )  # fmt: skip
     return (
-        f"Package: {NAME}\nVersion: {version()}\nArchitecture: {architecture}\nMaintainer: {_MAINTAINER}\n"
+        f"Package: {NAME}\nVersion: {build}\nArchitecture: {architecture}\nMaintainer: {_MAINTAINER}\n"
         f"Installed-Size: {size_kib}\nDepends: {', '.join(needs)}\nSection: misc\nPriority: optional\n"
         f"Description: two-stage servo controller over CAN\n{_DESCRIPTION}"
     )
@@ -182,7 +188,8 @@ class Stage:
         except BuildError as error:
             if wheels is None:
                 raise
-            fill = f"{_PYTHON} -m pip wheel --wheel-dir {wheels} {TREE} 'setuptools>=77'"
+            pip_of = f"{_PYTHON} -m venv /tmp/filling && /tmp/filling/bin/pip"
+            fill = f"{pip_of} wheel --wheel-dir {wheels} {TREE} 'setuptools>=77'"
             text = f"{error}\nIf a wheel is missing in {wheels}, fill it where there is a network:\n  {fill}"
             raise BuildError(text) from error
         self.packages = sorted(distributions(path=[str(self._site())]), key=lambda one: one.name.lower())
@@ -203,6 +210,8 @@ class Stage:
         (folder / "examples").mkdir(parents=True)
         for name in EXAMPLES:
             shutil.copy(TREE / "config" / name, folder / "examples")
+        shutil.copy(TREE / "README.md", folder)
+        shutil.copytree(TREE / "docs", folder / "docs")
         (folder / "copyright").write_text(copyright_text(self.packages), "utf-8")
         (folder / "packages.txt").write_text("".join(f"{one.name}=={one.version}\n" for one in self.packages), "utf-8")
         news = (TREE / "CHANGELOG.md").read_bytes()
@@ -256,7 +265,7 @@ def pack(stage: Stage, output: Path, architecture: str, date: int) -> Path:
     folder.mkdir(mode=0o755)
     sums = (hashlib.md5((stage.root / path).read_bytes(), usedforsecurity=False).hexdigest() for path in files)
     texts = {
-        "control": control_text(architecture, stage.python, oldest_libc(stage.packages), size),
+        "control": control_text(version(date), architecture, stage.python, oldest_libc(stage.packages), size),
         "md5sums": "".join(f"{value}  {path}\n" for value, path in zip(sums, files, strict=True)),
     }
     for name, text in texts.items():
@@ -265,7 +274,7 @@ def pack(stage: Stage, output: Path, architecture: str, date: int) -> Path:
     for name in SCRIPTS:
         shutil.copyfile(HERE / name, folder / name)
         (folder / name).chmod(0o755)
-    package = output / f"{NAME}_{version()}_{architecture}.deb"
+    package = output / f"{NAME}_{version(date)}_{architecture}.deb"
     _run(
         "dpkg-deb", "--root-owner-group", "-Zzstd", "-z19", "--build", str(stage.root), str(package),
         environment={"SOURCE_DATE_EPOCH": str(date)},
@@ -299,7 +308,7 @@ def build(output: Path, wheels: Path | None) -> dict[str, Any]:
         package = pack(stage, output, architecture, date)
         packages = {one.name: one.version for one in stage.packages}
     return {
-        "package": str(package.resolve()), "version": version(), "architecture": architecture,
+        "package": str(package.resolve()), "version": version(date), "architecture": architecture,
         "bytes": package.stat().st_size, "sha256": hashlib.sha256(package.read_bytes()).hexdigest(),
         "installed_bytes": installed, "files": len(files), "python": "{}.{}".format(*stage.python),
         "date": date, "packages": packages,
@@ -310,7 +319,7 @@ def build(output: Path, wheels: Path | None) -> dict[str, Any]:
 def _newest() -> int:
     """Return the date of the newest source, so that the same tree and the same wheels give the same bytes."""
     sources = [TREE / name for name in _TOP_FILES]
-    for name in _SOURCES:
+    for name in (*_SOURCES, "docs"):
         sources += [path for path in (TREE / name).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
     return int(max(path.stat().st_mtime for path in [*sources, *HERE.iterdir()] if path.is_file()))
 

@@ -117,10 +117,15 @@ class Bench:
         """The service's main process."""
         return int(self.shown("MainPID"))
 
+    @property
+    def restarts(self) -> int:
+        """How often systemd has restarted the service so far."""
+        return int(self.shown("NRestarts"))
+
     def restarted(self, times: int, longest_s: float = 120.0) -> float:
         """Wait until systemd has restarted the service so many times in all, and it is ready; return how long, s."""
         begun = time.monotonic()
-        while (int(self.shown("NRestarts")), self.shown("ActiveState")) != (times, "active"):
+        while (self.restarts, self.shown("ActiveState")) != (times, "active"):
             if time.monotonic() - begun > longest_s:
                 state = run("systemctl", "show", "--property=NRestarts,ActiveState,SubState,Result", UNIT)
                 raise AssertionError(f"not restarted for the {times}. time within {longest_s:g} s: {state}")

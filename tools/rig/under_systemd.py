@@ -63,10 +63,10 @@ def is_restarted_after_a_kill(bench: Bench) -> Figures:
     """Kill the service in mid-move: the drive stops by itself; systemd starts the service again, disarmed."""
     bench.start_without_check()
     move(bench, "x", 0.0)
-    stopped = _times_stopped(bench)
+    stopped, restarts = _times_stopped(bench), bench.restarts
     bench.signal_service(signal.SIGKILL)
     stop_s = _drive_stops_by_itself(bench, stopped)
-    restart_s = bench.restarted(1)
+    restart_s = bench.restarted(restarts + 1)
     for axis in ("x", "y"):
         bench.until(axis, "starts disarmed", disarmed)
     check(_moves(bench) < 0.01, "nothing moves")
@@ -76,10 +76,10 @@ def is_restarted_after_a_kill(bench: Bench) -> Figures:
 def is_killed_by_the_watchdog(bench: Bench) -> Figures:
     """Stop the service's process in mid-move: the drive stops by itself, the manager kills and starts it again."""
     move(bench, "x", 400.0)
-    stopped = _times_stopped(bench)
+    stopped, restarts = _times_stopped(bench), bench.restarts
     bench.signal_service(signal.SIGSTOP)
     stop_s = _drive_stops_by_itself(bench, stopped)
-    restart_s = bench.restarted(2)
+    restart_s = bench.restarted(restarts + 1)
     for axis in ("x", "y"):
         bench.until(axis, "starts disarmed", disarmed)
     said = [str(entry.get("MESSAGE")) for entry in bench.journal()]

@@ -24,6 +24,12 @@ _ADMINISTRATORS, _VENDORS = "etc", "usr/lib"
 """Where systemd and udev look: what lies in the first outranks what a package has put into the second."""
 _HIDDEN: Final = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")  # noqa: S108 - ProtectHome and PrivateTmp hide them
 _AFTER: Final = ("systemd-sysusers", "systemctl daemon-reload", "udevadm control --reload")
+_FIRST_START: Final = (
+    "put your configuration into /etc/twostage-servo/servo.toml (mkdir it first; config/socketcan.toml is an example)",
+    "adduser YOUR_NAME twostage-servo, and log in anew: members of the group may command the axes",
+    "systemctl enable --now systemd-networkd twostage-servo",
+)
+_LAST: Final = "systemctl stop twostage-servo 'twostage-servo@*' (what runs goes on until then)"
 
 
 class _Placed(NamedTuple):
@@ -103,10 +109,7 @@ def _run(options: argparse.Namespace) -> ExitCode:
     except OSError as error:
         text = f"{error.strerror}: {error.filename}. Run it as root, for instance with sudo."
         raise CommandError(ExitCode.FAILED, "not_placed", text) from error
-    steps = list(_AFTER[1:] if options.uninstall else _AFTER)
-    if not options.uninstall:
-        steps.append("put your configuration into /etc/twostage-servo/servo.toml")
-        steps.append("systemctl enable --now twostage-servo")
+    steps = [_LAST, *_AFTER[1:]] if options.uninstall else [*_AFTER, *_FIRST_START]
     if options.json:
         shown = [{"path": str(one.path), "outcome": one.outcome} for one in placed]
         print_json({"files": shown, "next": steps})
