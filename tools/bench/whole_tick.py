@@ -93,9 +93,19 @@ def fit(median_us: Mapping[int, float]) -> dict[str, float]:
 
 
 class Stopwatch:
-    """Times the phases of each tick of a service, by wrapping its four methods."""
+    """Times the phases of each tick of a service, by wrapping its four methods.
 
-    def __init__(self, ticks: int) -> None:
+    Parameters
+    ----------
+    ticks
+        How many.
+    clock
+        Tells the time, s. In simulated time that of the thread on the processor: another process that interrupts a long
+        tick more often than a short one must not seem to make many axes dearer.
+    """
+
+    def __init__(self, ticks: int, clock: Callable[[], float]) -> None:
+        self._clock = clock
         self.done: asyncio.Event = asyncio.Event()
         self._left = ticks + _WARM_UP
         self._begun_s = 0.0
@@ -108,7 +118,7 @@ class Stopwatch:
             setattr(service, name, self._timed(name, getattr(service, name)))
 
     def _timed(self, name: str, phase: Callable[..., None]) -> Callable[..., None]:
-        clock, durations = time.perf_counter, self._phases_s[name]
+        clock, durations = self._clock, self._phases_s[name]
 
         @functools.wraps(phase)
         def timed(*arguments: Any) -> None:
@@ -140,7 +150,7 @@ def time_ticks(axes: int, ticks: int, *, real: bool) -> dict[str, Any]:
     """Run a service of so many axes for so many ticks, beside a warm-up, and return the stopwatch's figures."""
 
     async def main() -> dict[str, Any]:
-        stopwatch = Stopwatch(ticks)
+        stopwatch = Stopwatch(ticks, time.perf_counter if real else time.thread_time)
         async with operate(axes, stopwatch.watch):
             await stopwatch.done.wait()
         return stopwatch.figures()
