@@ -1,6 +1,9 @@
+import asyncio
 import errno
+import gc
 import logging
 import os
+import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -349,3 +352,57 @@ def test_a_bus_that_does_not_open_says_why_and_what_to_do(
 def test_settings_that_cannot_be_meant_are_refused(changes: dict[str, Any], text: str) -> None:
     with pytest.raises(ValueError, match=text):
         BusSettings.model_validate({"interface": "socketcan", "channel": "can0"} | changes)
+
+
+def test_attempts_that_fail_leave_nothing_to_the_garbage_collection() -> None:
+    half_made: list[weakref.ref[object]] = []
+
+    class HalfMadeBus:
+        def __init__(self) -> None:
+            half_made.append(weakref.ref(self))
+            raise OSError(errno.ENODEV, "No such device")
+
+    def opener() -> can.BusABC:
+        return HalfMadeBus()  # type: ignore[return-value]
+
+    link = Link(BusSettings(interface="socketcan", channel="can0"), [FEEDBACK], opener)
+
+    async def attempts() -> None:
+        for _ in range(5):
+            with pytest.raises(LinkError, match="No such device"):
+                await link.open_in_thread()
+
+    gc.disable()
+    try:
+        asyncio.run(attempts())
+        assert [bus() for bus in half_made] == [None] * 5
+    finally:
+        gc.enable()
+
+
+def test_a_bus_that_cannot_be_set_up_is_shut_down() -> None:
+    class Unfiltered(can.BusABC):
+        shut_down = 0
+
+        def __init__(self) -> None:
+            super().__init__(channel="x")
+
+        def send(self, msg: can.Message, timeout: float | None = None) -> None:
+            raise NotImplementedError
+
+        def shutdown(self) -> None:
+            super().shutdown()
+            Unfiltered.shut_down += 1
+
+    def no_filters(filters: Any = None) -> None:
+        raise can.CanOperationError("no filters")
+
+    def opener() -> can.BusABC:
+        bus = Unfiltered()
+        bus.set_filters = no_filters  # type: ignore[method-assign]
+        return bus
+
+    link = Link(BusSettings(interface="virtual", channel="x"), [FEEDBACK], opener)
+    with pytest.raises(LinkError, match="no filters"):
+        link.open()
+    assert Unfiltered.shut_down == 1

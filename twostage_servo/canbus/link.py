@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import logging
+import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
@@ -169,16 +170,21 @@ class Link:
         """
         if self._bus is not None:
             return
-        interface = None
+        bus = interface = None
         try:
             bus = self._opener()
             if isinstance(bus, SocketcanBus):
                 interface = NetworkInterface(bus.socket, str(self.settings.channel), fd=self.settings.fd)
-                self._check_opened(bus, interface)
+                interface.check()
             if type(bus)._apply_filters is can.BusABC._apply_filters:  # noqa: SLF001
                 # Filters in software: recv(0) would return None for each foreign frame and look empty. drain() filters.
                 bus.set_filters(None)
         except Exception as error:  # an interface may raise anything
+            if bus is not None:
+                self._shut_down(bus)
+            # A half-made bus of python-can hangs on the frames of its error, and its socket would stay open until the
+            # next collection of garbage, attempt after attempt.
+            traceback.clear_frames(error.__traceback__)
             raise self._error("cannot be opened", error) from error
         self.controller_state = "active"
         self.error_counters = None
@@ -205,6 +211,8 @@ class Link:
         except asyncio.CancelledError:
             await asyncio.gather(opening, return_exceptions=True)
             raise
+        finally:
+            del opening  # it holds the error, whose traceback holds this frame
 
     def close(self) -> None:
         """Close the bus. Never raises, and does nothing when it is closed already."""
@@ -353,14 +361,6 @@ class Link:
         return can.Bus(
             interface=settings.interface, channel=settings.channel, can_filters=filters, ignore_config=True, **options
         )
-
-    def _check_opened(self, bus: SocketcanBus, interface: NetworkInterface) -> None:
-        """Give the bus up again if nothing can go over it."""
-        try:
-            interface.check()
-        except OSError:
-            self._shut_down(bus)
-            raise
 
     def _shut_down(self, bus: can.BusABC) -> None:
         try:
