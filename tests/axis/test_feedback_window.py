@@ -33,7 +33,7 @@ def test_errors_add_up_within_a_tick_and_over_ticks() -> None:
         monitor.reject()
         monitor.doubt()
         assert monitor.recent_errors == expected
-    assert monitor.rejected == 3
+    assert (monitor.rejected, monitor.implausible) == (3, 3)
     monitor.begin_tick(0)
     assert monitor.recent_errors == 6
 

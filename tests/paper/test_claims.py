@@ -14,8 +14,6 @@ from twostage_servo.paper.methods import METHODS
 from twostage_servo.paper.scores import Scores, score
 from twostage_servo.paper.studies import Comparison, Curve, Studies, run_all
 
-pytestmark = pytest.mark.long
-
 FRAMES = {
     example.name: FramesComparison(0.001, 0.001, 0.001, 0.001, 0.0, 600, frames={}, delayed={}) for example in EXAMPLES
 }

@@ -3,8 +3,8 @@
 import io
 import json
 import logging
+import queue
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -72,11 +72,14 @@ class StuckStream(io.StringIO):
         super().__init__()
         self.let_go = threading.Event()
         self.entered = threading.Event()
+        self.written: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def write(self, text: str) -> int:
         self.entered.set()
         self.let_go.wait(60)
-        return super().write(text)
+        length = super().write(text)
+        self.written.put(text)
+        return length
 
 
 def test_a_stuck_log_drops_lines_and_counts_them() -> None:
@@ -101,8 +104,8 @@ def test_lines_that_were_lost_are_told_as_soon_as_there_is_room() -> None:
     for number in range(25):
         log.info(f"line {number}")
     stream.let_go.set()
-    while "line 9" not in stream.getvalue():
-        time.sleep(0)
+    while "line 9" not in stream.written.get(timeout=60):
+        pass
     log.info("after")
     log.info("and on")
     writer.close()

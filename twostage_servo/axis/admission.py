@@ -86,14 +86,19 @@ class Admission:
         if switch := self._drive.blocks(direction):
             raise Refused("limit_switch", f"the {switch} limit switch is active: only motion away from it is possible.")
 
-    def check_place(self, position: float, velocity: float, rest_velocity: float) -> None:
-        """Refuse to call the place where the axis stands `position` (axis unit) unless it is seen, and at rest."""
+    def check_place(self, position: float, velocity: float | None, rest_velocity: float) -> None:
+        """Refuse to call the place where the axis stands `position` (axis unit) unless it is seen, and at rest.
+
+        Both velocities in axis unit/s; that of the axis is None where it has only just been seen.
+        """
         if not (math.isfinite(position) and abs(position) <= LARGEST_POSITION):
             raise Refused(
                 "position_limit", f"position {position:g}: a finite number up to {LARGEST_POSITION:g} is needed."
             )
         if self._drive.position is None or self._drive.is_stale:
             raise Refused("no_feedback", "there is no fresh feedback from the drive.")
+        if velocity is None:
+            raise Refused("busy", "it is not known yet whether the axis is at rest: ask again.")
         if abs(velocity) > rest_velocity:
             raise Refused(
                 "busy", f"the axis moves at {velocity:.4g} {self._unit}/s: its place can be set only at rest."

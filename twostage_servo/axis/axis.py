@@ -169,9 +169,9 @@ class Axis(Machine):
         """
         if self.state is not State.DISARMED:
             self._admission.check_state(self.state, Event.HOME, self.trip)
-        elif not self.motion.knows_speed and not self.drive.is_stale:
-            raise Refused("busy", "it is not known yet whether the axis is at rest: ask again.")
-        self._admission.check_place(position, self.law.observer.velocity, self.design.rest_velocity)
+        is_known = self.state is not State.DISARMED or self.motion.knows_speed
+        velocity = self.law.observer.velocity if is_known else None
+        self._admission.check_place(position, velocity, self.design.rest_velocity)
         assert self.drive.position is not None  # noqa: S101 - just checked
         self._reference_at(self.drive.position, position)
 
