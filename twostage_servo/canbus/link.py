@@ -1,11 +1,9 @@
 """One opened bus: a python-can interface that never waits, never keeps an old command and fails in one way only."""
 
 import asyncio
-import errno
 import logging
 import traceback
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
 import can
@@ -14,6 +12,8 @@ from can.interfaces.socketcan import SocketcanBus
 from twostage_servo.canbus.bus_settings import BusSettings
 from twostage_servo.canbus.frame import Identifier
 from twostage_servo.canbus.frame_age import FrameAge, stamp_clock
+from twostage_servo.canbus.link_counters import LinkCounters
+from twostage_servo.canbus.link_error import LinkError, is_full, link_error
 from twostage_servo.canbus.network_interface import NetworkInterface
 from twostage_servo.canbus.socketcand import SocketcandBus
 
@@ -22,9 +22,6 @@ __all__ = ["BusSettings", "ControllerState", "Link", "LinkCounters", "LinkError"
 _log = logging.getLogger(__name__)
 
 _ERROR_CLASSES: Final = frozenset({"socketcan", "socketcand"})
-_FULL_ERRNOS: Final = frozenset({errno.ENOBUFS, errno.EAGAIN})
-# What socketcan and virtual say when a queue is full; they give no error code with it.
-_FULL_TEXTS: Final = frozenset({"Transmit buffer full", "Could not send message to one or more recipients"})
 # Of linux/can/error.h: classes, which are bits of the identifier, and bits of byte 1 in the class of the controller.
 _CONTROLLER: Final = 0x04  # CAN_ERR_CRTL
 _BUS_OFF: Final = 0x40  # CAN_ERR_BUSOFF
@@ -33,78 +30,9 @@ _COUNTERS: Final = 0x200  # CAN_ERR_CNT: bytes 6 and 7 are the controller's erro
 _PASSIVE: Final = 0x30  # CAN_ERR_CRTL_RX_PASSIVE, CAN_ERR_CRTL_TX_PASSIVE
 _WARNING: Final = 0x0C  # CAN_ERR_CRTL_RX_WARNING, CAN_ERR_CRTL_TX_WARNING
 _ACTIVE: Final = 0x40  # CAN_ERR_CRTL_ACTIVE
-_NEXT_STEPS: Final = {
-    "socketcan": "Look at the interface with 'ip -details link show {channel}'; set it up with "
-    "'ip link set {channel} up type can bitrate ...'.",
-    "socketcand": "Start what serves {channel} on {options[host]} port {options[port]}: "
-    "`twostage-servo drive`, or socketcand.",
-    "udp_multicast": "Check that the group is a multicast address and that a route leads to it ('ip route').",
-}
-_NEXT_STEPS_BY_ERRNO: Final = {
-    errno.EAFNOSUPPORT: "This machine's kernel has no CAN: load it with 'modprobe can' and 'modprobe can_raw'.",
-    errno.ENODEV: "Plug the adapter in; 'ip -brief link' shows the interfaces that are there. Once {channel} is there "
-    "and up ('ip link set {channel} up type can bitrate ...'), the bus opens by itself.",
-    errno.ENETDOWN: "Bring it up with 'ip link set {channel} up type can bitrate ...'; the bus then opens by itself.",
-    errno.ENOLINK: "Check cable, termination and bit rate, then 'ip link set {channel} type can restart'.",
-    errno.EPROTONOSUPPORT: "Set it up for CAN FD: 'ip link set {channel} down', then 'ip link set {channel} up type "
-    "can bitrate ... dbitrate ... fd on'; of a vcan interface, 'ip link set {channel} mtu 72'.",
-}
 
 ControllerState = Literal["active", "warning", "passive"]
 """Fault confinement state of the CAN controller, ISO 11898-1; ``"warning"`` is an active one near its limit."""
-
-
-class LinkError(Exception):
-    """The bus could not be opened, or is gone. The text is for the operator, the cause is chained."""
-
-
-@dataclass(slots=True)
-class LinkCounters:
-    """What went over a link since it was made, over all its openings.
-
-    Attributes
-    ----------
-    received : int
-        Frames with an accepted identifier.
-    sent : int
-        Frames handed over to the interface.
-    rejected : int
-        Received frames that could not be used; counted by whoever decodes them, with :meth:`count_rejection`.
-    dropped : int
-        Frames not sent because the queue was full, or an older frame still in it.
-    errors : int
-        Error frames: the controller reports trouble on the bus.
-    errors_by_kind : dict of str to int
-        The error frames by what they say about the controller: ``"warning"``, ``"passive"``, ``"active"``,
-        ``"bus_off"``, ``"restarted"``; ``"other"`` is trouble on the bus, or an interface whose error frames carry no
-        more than that.
-    overflowed : int
-        Received frames that the kernel has thrown away because nobody read them in time; known with SocketCAN only.
-    overruns : int
-        Drains that ended at their bound. One after another, they mean that frames pile up and are read late.
-    rejected_by_reason : dict of str to int
-        The rejected frames by :attr:`FrameRejected.reason`.
-    """
-
-    received: int = 0
-    sent: int = 0
-    rejected: int = 0
-    dropped: int = 0
-    errors: int = 0
-    overflowed: int = 0
-    overruns: int = 0
-    errors_by_kind: dict[str, int] = field(default_factory=dict)
-    rejected_by_reason: dict[str, int] = field(default_factory=dict)
-
-    def count_rejection(self, reason: str) -> None:
-        """Count a frame that could not be used."""
-        self.rejected += 1
-        self.rejected_by_reason[reason] = self.rejected_by_reason.get(reason, 0) + 1
-
-    def count_error(self, kind: str) -> None:
-        """Count an error frame."""
-        self.errors += 1
-        self.errors_by_kind[kind] = self.errors_by_kind.get(kind, 0) + 1
 
 
 class Link:
@@ -333,7 +261,7 @@ class Link:
             # The default time-out, None, would wait for ever with some interfaces.
             bus.send(message, timeout=0)
         except Exception as error:  # an interface may raise anything
-            if _is_full(error):
+            if is_full(error):
                 self.counters.dropped += 1
                 return False
             raise self._error("failed while sending", error) from error
@@ -399,27 +327,4 @@ class Link:
         return f"bus {self.settings.interface} {self.settings.channel}"
 
     def _error(self, what: str, error: Exception) -> LinkError:
-        settings = self.settings
-        options = {"host": "127.0.0.1", "port": 29536} | settings.options
-        step = _NEXT_STEPS.get(settings.interface, "Check cable, driver, and the table [bus] of the configuration.")
-        if settings.interface == "socketcan":
-            step = _NEXT_STEPS_BY_ERRNO.get(_errno(error) or 0, step)
-        text = step.format(channel=settings.channel, options=options)
-        return LinkError(f"{self._name} {what}: {(str(error) or type(error).__name__).rstrip('.')}. {text}")
-
-
-def _is_full(error: BaseException) -> bool:
-    """Whether an interface says that a queue was full just now, as against that the bus is gone."""
-    if isinstance(error, can.CanTimeoutError) or str(error) in _FULL_TEXTS:
-        return True
-    return _errno(error) in _FULL_ERRNOS
-
-
-def _errno(error: BaseException) -> int | None:
-    """Return the system's error number that an interface's error carries, or None."""
-    if isinstance(error, OSError):
-        return error.errno
-    code = getattr(error, "error_code", None)
-    if isinstance(code, int):
-        return code
-    return error.__cause__.errno if isinstance(error.__cause__, OSError) else None
+        return link_error(self._name, self.settings, what, error)
