@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import errno
 import itertools
 import json
 import math
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import structlog
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -26,6 +28,7 @@ from twostage_servo.service.address import find_socket, own_socket, prepare_fold
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, encode, encode_in_pieces
 from twostage_servo.service.recorder import Recorder
 from twostage_servo.service.requests import Request
+from twostage_servo.service.turns import Rank
 
 
 @pytest.fixture
@@ -170,6 +173,61 @@ def test_of_many_that_connect_at_once_one_is_let_in_between_two_looks_at_the_clo
     serve(path, script)
 
 
+def test_clients_are_let_in_when_it_is_their_turn(path: Path) -> None:
+    async def script(world: World, control: ControlSocket) -> None:
+        async with world.service.turns.turn(Rank.REQUEST):  # somebody else has it
+            newcomer = await connect(path)
+            asking = asyncio.create_task(newcomer.ask(op="status"))
+            await world.seconds(0.005)
+            assert not control._clients
+        assert (await asking)["ok"]
+
+    serve(path, script)
+
+
+def test_who_cannot_be_let_in_is_told_to_the_log_and_let_in_later(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def script(world: World, __: ControlSocket) -> None:
+        loop = asyncio.get_running_loop()
+        accept, full = loop.sock_accept, [OSError(errno.EMFILE, "Too many open files")] * 3
+
+        async def sometimes(listener: socket.socket) -> object:
+            connection = await accept(listener)
+            if full:
+                connection[0].close()
+                raise full.pop()
+            return connection
+
+        assert (await (await connect(path)).ask(op="status"))["ok"]
+        monkeypatch.setattr(loop, "sock_accept", sometimes)
+        await connect(path)  # by the call that waits already
+        for _ in range(3):
+            refused = await connect(path)
+            assert await refused.reader.read() == b""
+            await world.seconds(1.1)
+        assert (await (await connect(path)).ask(op="status"))["ok"]
+
+    with structlog.testing.capture_logs() as logs:
+        serve(path, script)
+    told = [entry["error"] for entry in logs if entry["event"] == "no client can be let in"]
+    assert told == ["[Errno 24] Too many open files"] * 3
+
+
+def test_the_end_waits_for_nobody_who_waits_to_be_let_in(path: Path) -> None:
+    async def script(world: World, control: ControlSocket) -> None:
+        stack = contextlib.AsyncExitStack()
+        await stack.enter_async_context(world.service.turns.turn(Rank.REQUEST))
+        newcomers = [await connect(path) for _ in range(3)]
+        await world.seconds(0.005)
+        await control.stop()
+        for newcomer in newcomers:
+            with contextlib.suppress(ConnectionError):
+                assert await newcomer.reader.read() == b""
+        await stack.aclose()
+
+    serve(path, script)
+    assert not path.exists()
+
+
 def test_idle_clients_make_room_for_whoever_wants_to_stop(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
         operator, watcher, *idle = [await connect(path) for _ in range(64)]
@@ -208,8 +266,8 @@ def test_a_client_that_was_told_to_go_moves_nothing_but_may_stop(path: Path, op:
         turn = world.service.turns.turn
 
         @contextlib.asynccontextmanager
-        async def late_turn(*, urgent: bool = False) -> AsyncIterator[None]:
-            async with turn(urgent=urgent):
+        async def late_turn(rank: Rank) -> AsyncIterator[None]:
+            async with turn(rank):
                 control._make_room()  # while it waited for its turn
                 yield
 

@@ -5,7 +5,7 @@ import contextlib
 from collections.abc import Awaitable, Callable
 
 from tests.host_loop import HostLoop
-from twostage_servo.service.turns import Turns
+from twostage_servo.service.turns import Rank, Turns
 
 PERIOD_S = 0.01
 
@@ -19,8 +19,8 @@ class Desk:
         self.clients: set[asyncio.Task[None]] = set()
         self.loop = asyncio.get_running_loop()
 
-    def ask(self, name: str, work_s: float, *, urgent: bool = False) -> "asyncio.Task[None]":
-        task = asyncio.create_task(self._serve(name, work_s, urgent=urgent))
+    def ask(self, name: str, work_s: float, rank: Rank = Rank.REQUEST) -> "asyncio.Task[None]":
+        task = asyncio.create_task(self._serve(name, work_s, rank))
         self.clients.add(task)
         return task
 
@@ -34,8 +34,8 @@ class Desk:
     def names(self) -> str:
         return "".join(name for name, _ in self.served)
 
-    async def _serve(self, name: str, work_s: float, *, urgent: bool) -> None:
-        async with self.turns.turn(urgent=urgent):
+    async def _serve(self, name: str, work_s: float, rank: Rank) -> None:
+        async with self.turns.turn(rank):
             self.served.append((name, self.loop.time()))
             assert isinstance(self.loop, HostLoop)
             self.loop.work(work_s)
@@ -117,11 +117,11 @@ def test_the_urgent_go_first_and_may_use_all_of_the_time() -> None:
         for name in "abcdef":
             desk.ask(name, 1e-3)
         for name in "XYZ":
-            desk.ask(name, 2e-3, urgent=True)
+            desk.ask(name, 2e-3, Rank.URGENT)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() + PERIOD_S)
         assert desk.names == "XYZa"
-        desk.ask("U", 1e-3, urgent=True)
+        desk.ask("U", 1e-3, Rank.URGENT)
         await asyncio.sleep(0)
         assert desk.names == "XYZaU"
 
@@ -133,7 +133,7 @@ def test_a_flood_of_the_urgent_holds_up_no_tick_and_shuts_nobody_out() -> None:
         for name in "ab":
             desk.ask(name, 0.5e-3)
         for name in "TUVWXYZ":
-            desk.ask(name, 1.8e-3, urgent=True)
+            desk.ask(name, 1.8e-3, Rank.URGENT)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() - 1.0)
         assert desk.names == "Ta"
@@ -143,6 +143,36 @@ def test_a_flood_of_the_urgent_holds_up_no_tick_and_shuts_nobody_out() -> None:
         assert desk.loop.time() < ends_s
 
     on_host(script)
+
+
+def test_neither_requests_nor_connections_shut_the_others_out() -> None:
+    async def script(desk: Desk) -> None:
+        for name in "CD":
+            desk.ask(name, 0.5e-3, Rank.CONNECTION)
+        for name in "abcdefg":
+            desk.ask(name, 1e-3)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() + PERIOD_S)
+        assert desk.names == "abcC"  # the share is used up, but one of each rank comes in any case
+        await desk.tick(desk.loop.time() - 1.0)
+        assert desk.names == "abcCdD"
+        for name in "EFGHIJKL":
+            desk.ask(name, 1e-3, Rank.CONNECTION)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() + PERIOD_S)
+        assert desk.names == "abcCdDefgE"
+
+    on_host(script)
+
+
+def test_connections_take_no_more_than_their_share() -> None:
+    async def script(desk: Desk) -> None:
+        for name in "ABCDEFGH":
+            desk.ask(name, 1e-3, Rank.CONNECTION)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() + PERIOD_S)
+
+    assert on_host(script).names == "ABC"
 
 
 def test_a_turn_that_is_given_to_one_who_has_gone_is_passed_on() -> None:

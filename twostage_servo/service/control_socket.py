@@ -23,6 +23,7 @@ from twostage_servo.axis.messages import Refused
 from twostage_servo.service.address import prepare_folder
 from twostage_servo.service.requests import READING, REQUESTS, JogRequest, WatchRequest
 from twostage_servo.service.snapshot import ready_for_json, report_service
+from twostage_servo.service.turns import Rank
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService
@@ -33,6 +34,8 @@ _LONGEST_LINE = 65_536
 _MOST_CLIENTS = 64
 _MOST_UNREAD = 262_144
 _RECORDS_A_PIECE = 50
+_PAUSE_S = 1.0
+"""After a client that could not be let in."""
 _TOO_MANY = (
     f"{_MOST_CLIENTS} clients are the most, and this one was idle the longest. Connect again; "
     "`ss -xp` shows which processes hold the others"
@@ -61,7 +64,7 @@ class ControlSocket:
         self._service = service
         self._connections = itertools.count(1)
         self._moments = itertools.count()
-        self._server: asyncio.Server | None = None
+        self._accepting: asyncio.Task[None] | None = None
         self._clients: set[_Client] = set()
         self._serving: set[asyncio.Task[None]] = set()
         self._log = structlog.get_logger().bind(room="control_socket")
@@ -84,20 +87,20 @@ class ControlSocket:
             listener.bind(str(self.path))
         finally:
             os.umask(previous)
-        # asyncio accepts as many connections in one pass of the loop as its backlog says: with 100, a client that does
-        # nothing but connect made the service miss one tick in four. The kernel keeps more of them waiting.
-        self._server = await asyncio.start_unix_server(self._accept, sock=listener, limit=_LONGEST_LINE, backlog=1)
+        listener.setblocking(False)
         listener.listen(_MOST_CLIENTS)
+        self._accepting = asyncio.create_task(self._accept(listener))
 
     async def stop(self) -> None:
         """Stop listening, end all connections, remove the socket."""
-        if self._server is None:
+        if self._accepting is None:
             return
-        self._server.close()
+        self._accepting.cancel()
+        await asyncio.gather(self._accepting, return_exceptions=True)
         for client in list(self._clients):
             client.abort()
         await asyncio.gather(*self._serving, return_exceptions=True)
-        self._server = None
+        self._accepting = None
         self.path.unlink(missing_ok=True)
 
     def publish(self, tick: int) -> None:
@@ -113,10 +116,32 @@ class ControlSocket:
                 if client.send_unless_behind(lines[client.axis]):
                     client.active = next(self._moments)
 
-    def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.create_task(self._serve(reader, writer))
-        self._serving.add(task)
-        task.add_done_callback(self._serving.discard)
+    async def _accept(self, listener: socket.socket) -> None:
+        """Let clients in, each in a turn of its own; the kernel keeps the others waiting.
+
+        An asyncio server lets them in as they come: a client that does nothing but connect then has the service busy
+        all of the time, and with a real-time priority whatever else should run on that core waits.
+        """
+        with listener:
+            while True:
+                try:
+                    streams = await self._let_in(listener)
+                except OSError as error:  # no descriptor or memory is left; those who wait go on waiting
+                    self._log.warning("no client can be let in", error=str(error), retry_s=_PAUSE_S)
+                    await asyncio.sleep(_PAUSE_S)
+                else:
+                    task = asyncio.create_task(self._serve(*streams))
+                    self._serving.add(task)
+                    task.add_done_callback(self._serving.discard)
+
+    async def _let_in(self, listener: socket.socket) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        connection, _ = await asyncio.get_running_loop().sock_accept(listener)
+        try:
+            async with self._service.turns.turn(Rank.CONNECTION):
+                return await asyncio.open_unix_connection(sock=connection, limit=_LONGEST_LINE)
+        except BaseException:
+            connection.close()
+            raise
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         if len(self._clients) >= _MOST_CLIENTS:
@@ -129,7 +154,7 @@ class ControlSocket:
                 client.active = next(self._moments)
                 urgent = any(word in line for word in _URGENT)
                 # A turn for each request, and for each piece of a long answer: a tick may come between.
-                async with self._service.turns.turn(urgent=urgent):
+                async with self._service.turns.turn(Rank.URGENT if urgent else Rank.REQUEST):
                     if client not in self._clients and not urgent:
                         break  # it has been told that its connection ends, and must not set an axis moving after that
                     answer = self._answer(client, line)
@@ -139,7 +164,7 @@ class ControlSocket:
                 await self._let_others_go(writer)
                 is_long = "records" in answer
                 while is_long:
-                    async with self._service.turns.turn():
+                    async with self._service.turns.turn(Rank.REQUEST):
                         is_long = bool(piece := next(pieces, b""))
                         client.send(piece)
                     await self._let_others_go(writer)

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import enum
 from collections import deque
 from collections.abc import AsyncIterator
 from typing import Final
@@ -14,13 +15,20 @@ _FORGETTING: Final = 0.995
 """By this factor the longest turn is forgotten with each one that is shorter."""
 
 
+class Rank(enum.IntEnum):
+    """What a turn is for; the lower goes first."""
+
+    URGENT = 0
+    REQUEST = 1
+    CONNECTION = 2
+
+
 class Turns:
-    """Hands out turns, one at a time and first come, first served, while there is time for them.
+    """Hands out turns, one at a time, while there is time for them: by rank, and first come, first served within one.
 
     Between a tick and the next one turns may take 0.3 of a period in all, and none begins so late that it could last
-    into the moment at which the loop has to wait for the deadline. At least one is given after each tick, however
-    little time there is. Urgent ones go before the others, one of them after each tick at least as well, and they may
-    use all of the time that there is.
+    into the moment at which the loop has to wait for the deadline. At least one of each rank is given after each tick,
+    however little time there is. Urgent ones may use all of the time that there is.
 
     Parameters
     ----------
@@ -36,29 +44,28 @@ class Turns:
         self._left_s = 0.0
         self._called = False  # somebody has been given a turn and is not done with it
         self._ended = False
-        self._urgent: deque[asyncio.Future[None]] = deque()
-        self._waiting: deque[asyncio.Future[None]] = deque()
-        self._owed: set[int] = set()  # queues of which one is served before the next tick, in time or not
+        self._queues: dict[Rank, deque[asyncio.Future[None]]] = {rank: deque() for rank in Rank}
+        self._owed: set[Rank] = set()  # those of which one is served before the next tick, in time or not
 
     def open(self, until_s: float) -> None:
         """Begin to hand out turns after a tick; the loop has to be free from `until_s` on, on its clock in s."""
         self._until_s = until_s - self._longest_s
         self._left_s = self._share_s
-        self._owed = {id(self._urgent), id(self._waiting)}
+        self._owed = set(Rank)
         self._call_next()
 
     def end(self) -> None:
         """Give everybody a turn from now on: there are no more ticks."""
         self._ended = True
-        for queue in (self._urgent, self._waiting):
+        for queue in self._queues.values():
             while _wake_first(queue):
                 pass
 
     @contextlib.asynccontextmanager
-    async def turn(self, *, urgent: bool = False) -> AsyncIterator[None]:
-        """Wait for a turn; the block is the turn, and must not wait for anything."""
-        queue = self._urgent if urgent else self._waiting
-        if not self._ended and (queue or self._called or not self._has_time(queue)):
+    async def turn(self, rank: Rank) -> AsyncIterator[None]:
+        """Wait for a turn; the block is the turn, and must not wait for anybody."""
+        queue = self._queues[rank]
+        if not self._ended and (queue or self._called or not self._has_time(rank)):
             await self._stand_in(queue)
         clock = asyncio.get_running_loop().time
         begun_s = clock()
@@ -68,7 +75,7 @@ class Turns:
             taken_s = clock() - begun_s
             self._left_s -= taken_s
             self._longest_s = min(max(taken_s, _FORGETTING * self._longest_s), self._largest_s)
-            self._owed.discard(id(queue))
+            self._owed.discard(rank)
             self._called = False
             self._call_next()
 
@@ -83,13 +90,13 @@ class Turns:
                 self._call_next()
             raise
 
-    def _has_time(self, queue: "deque[asyncio.Future[None]]") -> bool:
-        has_share = queue is self._urgent or self._left_s > 0.0
+    def _has_time(self, rank: Rank) -> bool:
+        has_share = rank is Rank.URGENT or self._left_s > 0.0
         return has_share and asyncio.get_running_loop().time() < self._until_s
 
     def _call_next(self) -> None:
-        for queue in (self._urgent, self._waiting):
-            if not self._called and (self._has_time(queue) or id(queue) in self._owed):
+        for rank, queue in self._queues.items():
+            if not self._called and (self._has_time(rank) or rank in self._owed):
                 self._called = _wake_first(queue)
 
 
