@@ -7,7 +7,9 @@ import dataclasses
 import importlib.util
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, cast
 
 import pytest
@@ -171,6 +173,51 @@ def test_a_run_without_any_contender_goes_on(monkeypatch: pytest.MonkeyPatch) ->
     assert "not measured: tick_lateness_us_loaded.ours: no ours" in run.as_text(made.result)
 
 
+def test_a_defect_in_one_part_costs_none_of_the_others(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(control_step, "measure", lambda *_: ({"ours": {"p50": 0.9, "p90": 1.0, "p99": 1.0, "max": 1.0}}, {}))
+    monkeypatch.setattr(simulated_time, "measure", lambda *_: summary.summarise([]))
+    monkeypatch.setattr(sys, "argv", ["run.py", "--quick", "--json", "--only", "step", "simulation"])
+    assert run.main() == 1
+    told = capsys.readouterr()
+    assert "IndexError" in told.err
+    result = json.loads(told.out)
+    assert result["control_step_us"]["ours"]["p50"] == 0.9
+    assert result["not_measured"] == {"simulation": "a defect of the benchmark: IndexError: list index out of range"}
+
+
+def test_clients_beside_which_the_axis_trips_have_no_lateness(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Service:
+        process = SimpleNamespace(pid=1)
+
+        def ask(self, **request: str) -> dict[str, Any]:
+            fields = ["tick", "missed", "lateness_us"]
+            return {
+                "status": {"ticks": {"count": 5, "missed": 0}, "trip": {"code": "jam", "cause": "it stands still"}},
+                "recording": {"fields": fields, "records": [[5, 0, 0.1]]},  # none since
+            }[request["op"]]
+
+    class Machine:
+        control_socket = Path("/nowhere")
+
+        @contextlib.contextmanager
+        def service(self, *_: str) -> Iterator[Service]:
+            yield Service()
+
+        def send_afar(self, _: Service) -> None:
+            """Nobody moves."""
+
+    monkeypatch.setattr(clients, "CONTENDERS", ("none",))
+    monkeypatch.setattr(clients, "cpu_share", lambda *_: 0.05)
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    plan = dataclasses.replace(QUICK, client_rounds=1)
+    figures, shares, missing = clients.measure(Machine(), plan, lambda _: None)  # type: ignore[arg-type]
+    assert not figures
+    assert not shares
+    assert missing == {"none": "the axis has tripped: jam, it stands still"}
+
+
 @pytest.mark.parametrize("measured", [lateness, frame_jitter])
 def test_the_contenders_take_turns_in_both_orders(measured: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(measured, "what_is_missing", lambda _: None)
@@ -289,8 +336,8 @@ def test_what_is_added_to_a_bound_is_told() -> None:
 
 def test_every_budget_and_goal_names_figures_that_a_run_has() -> None:
     tables = {"frame_jitter_us", "frame_jitter_us_loaded", "tick_lateness_us_loaded", "whole_tick_real_time_us",
-              "startup_s", "status_s", "clients_lateness_us", "millisecond_missed_share", "marginal_cost_growth",
-              *FIGURES_OF_A_RUN}  # fmt: skip
+              "startup_s", "status_s", "clients_lateness_us", "clients_cpu_share", "millisecond_missed_share",
+              "marginal_cost_growth", *FIGURES_OF_A_RUN}  # fmt: skip
     for kind in ("budget", "goal"):
         entries = budgets.read(kind, {})
         assert len(entries) > 5

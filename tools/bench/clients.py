@@ -18,13 +18,17 @@ _RECORDING: Final = "service.recording_s=100"
 _SHORT_TICK_S: Final = 1e-3
 
 
-def measure(machine: Machine, plan: Plan, note: Callable[[str], None]) -> tuple[dict[str, Figures], dict[str, str]]:
+def measure(
+    machine: Machine, plan: Plan, note: Callable[[str], None]
+) -> tuple[dict[str, Figures], dict[str, float], dict[str, str]]:
     """Return the lateness of the service's ticks in µs beside each kind of clients, and why some have none.
 
     Each kind has a service of its own in each round, every other round in the opposite order. Lateness is the tick's
-    own, tick by tick, from the service's recording; a skipped deadline counts as one that was met late.
+    own, tick by tick, from the service's recording; a skipped deadline counts as one that was met late. Between the two
+    stands the share of a core that the service took, the largest of the rounds.
     """
     lateness: dict[str, list[float]] = {}
+    shares: dict[str, float] = {}
     not_measured: dict[str, str] = {}
     for round_number in range(plan.client_rounds):
         for name in CONTENDERS[:: -1 if round_number % 2 else 1]:
@@ -37,11 +41,13 @@ def measure(machine: Machine, plan: Plan, note: Callable[[str], None]) -> tuple[
                         first_line(stack.enter_context(child(command)))
                     time.sleep(_SETTLING_S)
                     before = service.ask(op="status")["ticks"]
-                    time.sleep(plan.clients_s)
-                    lateness.setdefault(name, []).extend(_lateness_us(service, before, PERIOD_S))
+                    share = cpu_share(service.process.pid, plan.clients_s)
+                    values = _lateness_us(service, before, PERIOD_S)  # first: a trip must not leave an empty list
+                    lateness.setdefault(name, []).extend(values)
+                    shares[name] = round(max(share, shares.get(name, 0.0)), 4)
             except ChildError as error:
                 not_measured[name] = str(error)
-    return {name: summarise(lateness[name]) for name in CONTENDERS if name in lateness}, not_measured
+    return {name: summarise(lateness[name]) for name in CONTENDERS if name in lateness}, shares, not_measured
 
 
 def measure_short_ticks(machine: Machine, plan: Plan, note: Callable[[str], None]) -> dict[str, Any]:
@@ -72,5 +78,6 @@ def _lateness_us(service: Service, before: dict[str, Any], period_s: float) -> l
     since = before["count"] + before["missed"]
     records = [record for record in recording["records"] if record[tick] > since]
     if not records:  # what was recorded before a trip is kept
-        raise ChildError("the axis has tripped")
+        trip = service.ask(op="status")["trip"] or {}
+        raise ChildError(f"the axis has tripped: {trip.get('code')}, {trip.get('cause')}")
     return [record[lateness] + 1e6 * period_s * record[missed] for record in records]
