@@ -1,9 +1,9 @@
-"""Try the Debian package on a fresh Debian: `sudo python3 tools/rig/fresh_debian.py [PACKAGE]`.
+"""Try the Debian package on a fresh Debian: `sudo python3 tools/rig/fresh_debian.py [OLDER NEWER]`.
 
 Makes a Debian of nothing but its base, systemd, Python and CAN tools with debootstrap, once, in the cache; boots it in
 the rig's virtual machine, which has no network; and goes through package_trial.py there: install, move, upgrade, trip,
-remove, purge, and no file left. Without PACKAGE it builds one first. Exit code: 0 all holds, 1 something does not, 124
-the time limit, 125 the rig itself failed.
+roll back, an instance, remove, purge, and no file left. Without packages it builds two of this tree. Exit code: 0 all
+holds, 1 something does not, 124 the time limit, 125 the rig itself failed.
 """
 
 import argparse
@@ -15,7 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -67,15 +67,23 @@ def _debootstrap(cache: Path) -> tuple[Path, Mapping[str, str]]:
     return folder / "usr/sbin/debootstrap", {"DEBOOTSTRAP_DIR": str(folder / "usr/share/debootstrap")}
 
 
-def make_package(folder: Path) -> Path:
-    """Build the package of this tree, and return its path."""
-    told = _run(sys.executable, str(HERE.parent / "debian/build.py"), "--output", str(folder), "--json")
-    return Path(json.loads(told)["package"])
+def make_packages(folder: Path) -> tuple[Path, Path]:
+    """Build the package of this tree, and once more as if it were a day older; return the older one first."""
+
+    def build(environment: Mapping[str, str]) -> Mapping[str, Any]:
+        program = str(HERE.parent / "debian/build.py")
+        told = _run(sys.executable, program, "--output", str(folder), "--json", environment=environment)
+        built: Mapping[str, Any] = json.loads(told)
+        return built
+
+    newer = build({})
+    older = build({"SOURCE_DATE_EPOCH": str(newer["date"] - 86_400)})
+    return Path(older["package"]), Path(newer["package"])
 
 
-def try_out(root: Path, package: Path, cache: Path, timeout_s: float) -> tuple[int, dict[str, Any]]:
+def try_out(root: Path, packages: Sequence[Path], cache: Path, timeout_s: float) -> tuple[int, dict[str, Any]]:
     """Boot, and go through the trial; return the rig's exit code and what the trial has told."""
-    inside = [str(Path("/host", *path.resolve().parts[1:])) for path in (HERE / "package_trial.py", package)]
+    inside = [str(Path("/host", *path.resolve().parts[1:])) for path in (HERE / "package_trial.py", *packages)]
     rig = (sys.executable, str(HERE / "run.py"), "--cache", str(cache), "--root", str(root), "--memory", "3072")
     command = (*rig, "--timeout", str(timeout_s), "--", "/usr/bin/python3", *inside)
     told: dict[str, Any] = {}
@@ -104,7 +112,9 @@ def main() -> int:
     """Try it, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    parser.add_argument("package", type=Path, nargs="?", help="the .deb (default: it is built)")
+    parser.add_argument(
+        "packages", type=Path, nargs="*", help="two .deb, the older one first (default: they are built)"
+    )
     codename = platform.freedesktop_os_release().get("VERSION_CODENAME", "bookworm")
     parser.add_argument("--suite", default=codename, help="which Debian; its Python has to be the package's")
     parser.add_argument("--mirror", help="to make it from (default: apt's own)")
@@ -112,19 +122,21 @@ def main() -> int:
     parser.add_argument("--timeout", type=float, default=1500.0, help="most seconds in the machine (default 1500)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
-    if options.package is not None and not options.package.is_file():
-        parser.error(f"{options.package} is no file")
+    if len(options.packages) not in (0, 2):
+        parser.error(f"two packages are wanted, the older one first, or none; these are {len(options.packages)}")
+    if missing := [str(path) for path in options.packages if not path.is_file()]:
+        parser.error(f"no file: {', '.join(missing)}")
     begun = time.monotonic()
     result: dict[str, Any] = {"ok": False}
     status = _RIG_FAILED
     with tempfile.TemporaryDirectory(prefix="rig-fresh-") as name:
         try:
             options.cache.mkdir(parents=True, exist_ok=True)
-            package = options.package or make_package(Path(name))
+            packages = options.packages or make_packages(Path(name))
             root = make_root(options.cache.resolve(), options.suite, options.mirror or apts_mirror(options.suite))
             made_s = time.monotonic() - begun
-            status, told = try_out(root, package, options.cache, options.timeout)
-            result |= told | {"made_s": round(made_s, 1), "bytes": package.stat().st_size}
+            status, told = try_out(root, packages, options.cache, options.timeout)
+            result |= told | {"made_s": round(made_s, 1), "bytes": packages[-1].stat().st_size}
         except (FreshError, OSError) as error:
             result["error"] = str(error)
             print(f"fresh Debian: {error}", file=sys.stderr)

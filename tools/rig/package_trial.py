@@ -1,7 +1,8 @@
 """What must hold of the Debian package on a fresh Debian, without a network; fresh_debian.py runs it in its guest.
 
-``package_trial.py PACKAGE``: installs it, moves an axis under systemd as an operator does, upgrades, removes and purges
-it, and compares all files before and after. Prints a line a step, then one JSON object. Exit code 1 if a step fails.
+``package_trial.py OLDER NEWER``: installs the older package, moves an axis under systemd as an operator does, upgrades,
+trips, rolls back, runs an instance, removes and purges, and compares all files before and after. Prints a line a step,
+then one JSON object. Exit code 1 if a step fails.
 """
 
 import contextlib
@@ -25,6 +26,8 @@ _PROGRAM: Final = Path("/usr/bin/twostage-servo")
 _EXAMPLE: Final = Path("/usr/share/doc/twostage-servo/examples/socketcan.toml")
 _STATE: Final = Path("/var/lib/private/twostage-servo")
 _OPERATOR, _STRANGER = "operator1", "stranger1"
+_INSTANCE: Final = "second"
+_INSTANCE_UNIT: Final = f"twostage-servo@{_INSTANCE}.service"
 _IGNORED: Final = (
     "/proc", "/sys", "/dev", "/run", "/tmp", "/var/tmp", "/rig", "/host",  # noqa: S108 - they are not looked at
     "/var/log", "/var/lib/dpkg", "/var/lib/apt", "/var/cache/apt",
@@ -74,12 +77,15 @@ class Trial:
 
     Parameters
     ----------
-    package
+    older
         The file to install.
+    newer
+        The file to upgrade to.
     """
 
-    def __init__(self, package: Path) -> None:
-        self._package = package
+    def __init__(self, older: Path, newer: Path) -> None:
+        self._older = older
+        self._newer = newer
         self._drive: subprocess.Popen[bytes] | None = None
         self._fresh: dict[str, str] = {}
         self._unpacked: dict[str, str] = {}
@@ -89,7 +95,8 @@ class Trial:
         """What is done, one after another."""
         return (
             self.look_before, self.install, self.bring_the_bus_up, self.start, self.refuse_a_stranger, self.move,
-            self.write_nothing_in_opt, self.upgrade, self.start_again, self.trip, self.remove, self.purge,
+            self.write_nothing_in_opt, self.upgrade, self.start_again, self.trip, self.roll_back, self.run_an_instance,
+            self.remove, self.purge,
         )  # fmt: skip
 
     def look_before(self) -> Figures:
@@ -102,8 +109,9 @@ class Trial:
     def install(self) -> Figures:
         """Install without a network: nothing is started or enabled, and the operator joins the group."""
         begun = time.monotonic()
-        told = run("dpkg", "--install", str(self._package))
+        told = run("apt-get", "install", "--yes", str(self._older))
         took = time.monotonic() - begun
+        self._is_installed(self._older)
         self._unpacked = inventory(str(OPT))
         self._is_at_rest("disabled")
         check(not run("dpkg", "--verify", "twostage-servo"), "every file is as the package has it")
@@ -166,11 +174,12 @@ class Trial:
         return {}
 
     def upgrade(self) -> Figures:
-        """Install the package over itself while the axis holds: the service stops by itself, and is not started."""
+        """Install the newer one while the axis holds: the service stops by itself, and is not started."""
         self._operate("arm")
         begun = time.monotonic()
-        told = run("dpkg", "--install", str(self._package))
+        told = run("apt-get", "install", "--yes", str(self._newer))
         took = time.monotonic() - begun
+        self._is_installed(self._newer)
         self._is_at_rest("enabled")
         check(f"systemctl start {UNIT}" in told, "says how to start it again", told=told)
         check(run("systemctl", "show", "--property=Result", "--value", UNIT).strip() == "success", "stops as it should")
@@ -199,13 +208,46 @@ class Trial:
         _until("a file of the trip", lambda: any(path.is_file() for path in _STATE.rglob("*")))
         return {"trip_s": took, "code": self._status()["trip"]["code"]}
 
+    def roll_back(self) -> Figures:
+        """Install the older one again over the tripped service: configuration and trips stay, and it is not started."""
+        kept = inventory(str(CONFIGURATION)) | inventory(str(_STATE))
+        begun = time.monotonic()
+        run("apt-get", "install", "--yes", "--allow-downgrades", str(self._older))
+        took = time.monotonic() - begun
+        self._is_installed(self._older)
+        self._is_at_rest("enabled")
+        changed = differences(kept, inventory(str(CONFIGURATION)) | inventory(str(_STATE)))
+        check(not changed and len(kept) > 1, "configuration and trips stay", kept=len(kept), **changed)
+        return {"roll_back_s": took, "kept": len(kept)}
+
+    def run_an_instance(self) -> Figures:
+        """Start a service of another name, with its own configuration and socket; it is there while `remove` comes."""
+        configuration = CONFIGURATION / f"{_INSTANCE}.toml"
+        configuration.write_text((CONFIGURATION / "servo.toml").read_text())
+        dropped_in = Path(f"/run/systemd/system/{_INSTANCE_UNIT}.d/emulated.conf")
+        dropped_in.parent.mkdir(parents=True)
+        dropped_in.write_text(PATIENT_UNIT)
+        run("systemctl", "daemon-reload")
+        begun = time.monotonic()
+        run("systemctl", "enable", "--quiet", "--now", _INSTANCE_UNIT)
+        ready_s = time.monotonic() - begun
+        shown = self._status("--socket", f"/run/twostage-servo-{_INSTANCE}/control.sock")
+        check(shown["axis"]["state"] == "disarmed", "is disarmed", **shown["axis"])
+        said = run("systemctl", "show", "--property=StatusText", "--value", _INSTANCE_UNIT).strip()
+        check("disarmed" in said, "says so", said=said)
+        state = _STATE.with_name(f"twostage-servo-{_INSTANCE}")
+        check(state.is_dir(), "has a folder for its trips", state=str(state))
+        return {"ready_s": ready_s, "status_text": said}
+
     def remove(self) -> Figures:
-        """Remove it while the service runs: stopped, not enabled, and only what the operator made stays."""
+        """Remove it while the instance runs: stopped, not enabled, and only what the operator made stays."""
         begun = time.monotonic()
         run("dpkg", "--remove", "twostage-servo")
         took = time.monotonic() - begun
-        check(attempt("systemctl", "is-active", UNIT).stdout.strip() == "inactive", "is stopped")
-        gone = (OPT, _PROGRAM, Path(f"/etc/systemd/system/multi-user.target.wants/{UNIT}"))
+        for unit in (UNIT, _INSTANCE_UNIT):
+            check(attempt("systemctl", "is-active", unit).stdout.strip() == "inactive", "is stopped", unit=unit)
+        wanted = Path("/etc/systemd/system/multi-user.target.wants")
+        gone = (OPT, _PROGRAM, wanted / UNIT, wanted / _INSTANCE_UNIT)
         left = [str(path) for path in gone if os.path.lexists(path)]
         check(not left, "program and link are gone", left=left)
         check((CONFIGURATION / "servo.toml").exists() and _STATE.exists(), "configuration and trips stay")
@@ -232,9 +274,9 @@ class Trial:
         answer: Figures = json.loads(out.splitlines()[-1])
         return answer
 
-    def _status(self) -> Figures:
+    def _status(self, *options: str) -> Figures:
         """Return what the axis shows; the exit code tells of a trip, which may be what is waited for."""
-        told = attempt("runuser", "-u", _OPERATOR, "--", str(_PROGRAM), "status", "--json").stdout
+        told = attempt("runuser", "-u", _OPERATOR, "--", str(_PROGRAM), "status", *options, "--json").stdout
         shown: Figures = json.loads(told.splitlines()[-1])
         return shown
 
@@ -244,6 +286,11 @@ class Trial:
             return shown["state"] == "disarmed" and shown["position"] is not None
 
         _until("is disarmed and hears its drive", holds)
+
+    def _is_installed(self, package: Path) -> None:
+        there = run("dpkg-query", "--show", "--showformat=${Version}", "twostage-servo")
+        given = run("dpkg-deb", "--field", str(package), "Version").strip()
+        check(there == given, "is the version that was given", there=there, given=given)
 
     def _is_at_rest(self, enabled: str) -> None:
         for verb, expected in (("is-active", "inactive"), ("is-enabled", enabled)):
@@ -271,7 +318,7 @@ def main() -> int:
     """Go through the steps; the first that fails ends it."""
     results: dict[str, Figures] = {}
     error = None
-    with contextlib.closing(Trial(Path(sys.argv[1]))) as trial:
+    with contextlib.closing(Trial(*map(Path, sys.argv[1:]))) as trial:
         for step in trial.steps:
             begun = time.monotonic()
             name = step.__name__
