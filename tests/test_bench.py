@@ -176,7 +176,8 @@ def test_a_run_without_any_contender_goes_on(monkeypatch: pytest.MonkeyPatch) ->
 def test_a_defect_in_one_part_costs_none_of_the_others(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(control_step, "measure", lambda *_: ({"ours": {"p50": 0.9, "p90": 1.0, "p99": 1.0, "max": 1.0}}, {}))
+    figures = {"p50": 0.9, "p90": 1.0, "p99": 1.0, "max": 1.0}
+    monkeypatch.setattr(control_step, "measure", lambda *_: ({"ours": figures}, {}))
     monkeypatch.setattr(simulated_time, "measure", lambda *_: summary.summarise([]))
     monkeypatch.setattr(sys, "argv", ["run.py", "--quick", "--json", "--only", "step", "simulation"])
     assert run.main() == 1
