@@ -10,11 +10,10 @@ from typing import Final, Protocol
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.host.wake_margin import LARGEST_MARGIN_S, LARGEST_SHARE
 
-_QUANTILE: Final = 0.995
-_LARGEST_GAIN_S: Final = 64e-6
-_GAIN_S: Final = 8e-6
-_SHRINKING: Final = 0.98
-"""Of the gain, from each time to the next: the smallest is reached from the largest in 103 ticks."""
+_DECAY_S: Final = 0.04e-6
+"""By so much each command that is ready in time lets the offset sink: 4 µs a second with a tick of 10 ms."""
+_LARGEST_STEP_S: Final = 50e-6
+"""What a single outlier can cost: it is waited off within 12 s, and no longer, however late it was."""
 _FIRST_OFFSET_S: Final = 150e-6
 
 
@@ -30,12 +29,14 @@ class SendOffset(Protocol):
 
 
 class LearnedOffset:
-    """Offset that follows the 99.5 % quantile of the times at which the commands are ready.
+    """Offset at which commands are late by 0.04 µs in the mean of all ticks, where at most 50 µs count of each.
 
-    Stochastic approximation (Robbins and Monro, 1951): a command that is ready too late moves the offset up by 7.96 µs,
-    one in time moves it down by 0.04 µs, so it rests where the first comes once in 200 ticks. The steps are as small as
-    they are because each of them changes an interval, too. They are larger at first, and they double when one command
-    after another is late, as on a host that has got other work to do: so the new offset is there within a few ticks.
+    A command that is not ready in time moves the offset up to where it was ready, but by 50 µs at most; each that is
+    lets it sink by 0.04 µs. So the offset rests where both come to the same (stochastic approximation, Robbins and
+    Monro, 1951, of the level that the times exceed by 0.04 µs in the mean): where they have an exponential tail with a
+    mean of 20 µs, one command in 500 is late. The next one leaves as long after its deadline as the late one did, so
+    each costs one interval, not two; with the 99.5 % quantile in its place, approached in steps of 8 µs, the 99th
+    percentile of the intervals' deviation was twice to three times as large (measured in a virtual machine).
 
     A time above the cap is not learnt from, as with the margin of the wake-up: no offset would have made up for it.
 
@@ -50,21 +51,19 @@ class LearnedOffset:
         The offset for the next tick, s.
     """
 
-    __slots__ = ("_gain_s", "_largest_s", "offset_s")
+    __slots__ = ("_largest_s", "offset_s")
 
     def __init__(self, period_s: float) -> None:
         self._largest_s = min(LARGEST_MARGIN_S, LARGEST_SHARE * period_s)
-        self._gain_s = _LARGEST_GAIN_S
         self.offset_s = min(_FIRST_OFFSET_S, self._largest_s)
 
     def learn(self, ready_s: float) -> None:
         """Take in one time, s after the deadline."""
-        if ready_s <= self.offset_s:
-            self.offset_s = max(0.0, self.offset_s - self._gain_s * (1.0 - _QUANTILE))
+        late_s = ready_s - self.offset_s
+        if late_s <= 0.0:
+            self.offset_s = max(0.0, self.offset_s - _DECAY_S)
         elif ready_s <= self._largest_s:
-            self.offset_s = min(self._largest_s, self.offset_s + self._gain_s * _QUANTILE)
-            self._gain_s = min(_LARGEST_GAIN_S, 2.0 * self._gain_s)
-        self._gain_s = max(_GAIN_S, self._gain_s * _SHRINKING)
+            self.offset_s += min(late_s, _LARGEST_STEP_S)
 
 
 class FixedOffset:
