@@ -21,7 +21,7 @@ def test_as_many_are_late_as_the_tail_of_the_times_says(seed: int, mean_s: float
         ready_s = 60e-6 + source.expovariate(1 / mean_s)
         late += index >= 10_000 and ready_s > offset.offset_s
         offset.learn(ready_s)
-    assert late / 50_000 == pytest.approx(0.04e-6 / step_s, rel=0.3)
+    assert late / 50_000 == pytest.approx(0.1e-6 / step_s, rel=0.2)
 
 
 def test_a_host_that_gets_other_work_is_followed_within_a_few_ticks() -> None:
@@ -32,7 +32,7 @@ def test_a_host_that_gets_other_work_is_followed_within_a_few_ticks() -> None:
     for _ in range(20):
         late += offset.offset_s < 449e-6
         offset.learn(450e-6)
-    assert late == 7  # 300 us in steps of 50, and one for what the offset had sunk by
+    assert late == 7  # 300 us in steps of 50, and one for the 40 us that the offset had sunk by
     assert offset.offset_s == pytest.approx(450e-6, abs=1e-6)
 
 
@@ -42,15 +42,15 @@ def test_the_command_behind_a_late_one_leaves_as_long_after_its_deadline() -> No
     offset.learn(late_s)
     assert offset.offset_s == pytest.approx(late_s, abs=1e-12)
     offset.learn(0.0)
-    assert offset.offset_s == pytest.approx(late_s - 0.04e-6, abs=1e-12)
+    assert offset.offset_s == pytest.approx(late_s - 0.1e-6, abs=1e-12)
 
 
-def test_an_outlier_is_followed_for_fifty_microseconds_and_waited_off_within_thirteen_seconds() -> None:
+def test_an_outlier_is_followed_for_fifty_microseconds_and_waited_off_within_six_seconds() -> None:
     offset = LearnedOffset(PERIOD_S)
     before_s = offset.offset_s
     offset.learn(before_s + 700e-6)
     assert offset.offset_s == pytest.approx(before_s + 50e-6)
-    for _ in range(1300):
+    for _ in range(550):
         offset.learn(0.0)
     assert offset.offset_s < before_s
 

@@ -21,7 +21,7 @@ _SEND_BUFFER_BYTES: Final = 32768
 """Room for a burst of some 50 frames; bounds the old commands that wait on a connection that stalls."""
 _LONGEST_TOKEN: Final = 200
 _ROOM: Final = 65536
-_NONE: Final[tuple[can.Message | None, bytes]] = None, b""
+_NONE: Final[tuple[can.Message | None, bytes, bool]] = None, b"", False
 
 
 class SocketcandBus(can.BusABC):
@@ -57,7 +57,7 @@ class SocketcandBus(can.BusABC):
         self.channel_info = f"socketcand on {channel}@{host}:{port}"
         self._received = bytearray()
         self._is_drained = False
-        self._prepared: dict[int, tuple[can.Message, bytes]] = {}
+        self._prepared: dict[int, tuple[can.Message, bytes, bool]] = {}
         self._socket = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S)
         try:
             self._greet(channel)
@@ -117,12 +117,15 @@ class SocketcandBus(can.BusABC):
     def prepare(self, msg: can.Message) -> None:
         """Make the text of a data frame ready for :meth:`send`, which takes it if it is given the same message next.
 
+        Whether the connection has room is asked here as well: between this and the sending nobody but this program
+        fills it, and of one tick's frames there are a few.
+
         Raises
         ------
         can.CanOperationError
             When the frame is no classic data frame.
         """
-        self._prepared[msg.arbitration_id] = msg, _text(msg)
+        self._prepared[msg.arbitration_id] = msg, _text(msg), self._has_room()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - never waits
         """Hand a data frame to the TCP connection, without ever waiting.
@@ -134,19 +137,24 @@ class SocketcandBus(can.BusABC):
         can.CanOperationError
             When the connection broke, or the frame is no classic data frame.
         """
-        prepared, text = self._prepared.pop(msg.arbitration_id, _NONE)
+        prepared, text, has_room = self._prepared.pop(msg.arbitration_id, _NONE)
         if prepared is not msg:
-            text = _text(msg)
+            text, has_room = _text(msg), self._has_room()
         try:
-            # A third of the buffer is free when the kernel says "writable", so that never a part of a frame is sent.
-            _, writable, _ = select.select([], [self._socket], [], 0)
-            sent = self._socket.send(text) if writable else 0
-        except (OSError, ValueError) as error:  # ValueError: select on a closed socket
+            sent = self._socket.send(text) if has_room else 0
+        except OSError as error:
             raise can.CanOperationError(f"cannot send: {error}") from error
         if not sent:
             raise can.CanTimeoutError("the send buffer is full")
         if sent < len(text):
             raise can.CanOperationError("the send buffer took a part of a frame only")
+
+    def _has_room(self) -> bool:
+        """Whether a third of the buffer is free, so that never a part of a frame is sent; see tcp(7)."""
+        try:
+            return bool(select.select([], [self._socket], [], 0)[1])
+        except (OSError, ValueError):  # it is closed, which the sending will tell
+            return True
 
     def fileno(self) -> int:
         """File descriptor of the connection, -1 when closed."""

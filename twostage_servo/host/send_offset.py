@@ -10,10 +10,10 @@ from typing import Final, Protocol
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.host.wake_margin import LARGEST_MARGIN_S, LARGEST_SHARE
 
-_DECAY_S: Final = 0.04e-6
-"""By so much each command that is ready in time lets the offset sink: 4 µs a second with a tick of 10 ms."""
+_DECAY_S: Final = 0.1e-6
+"""By so much each command that is ready in time lets the offset sink: 10 µs a second with a tick of 10 ms."""
 _LARGEST_STEP_S: Final = 50e-6
-"""What a single outlier can cost: it is waited off within 12 s, and no longer, however late it was."""
+"""What a single outlier can cost: it is waited off within 5 s, and no longer, however late it was."""
 _FIRST_OFFSET_S: Final = 150e-6
 
 
@@ -29,13 +29,13 @@ class SendOffset(Protocol):
 
 
 class LearnedOffset:
-    """Offset at which commands are late by 0.04 µs in the mean of all ticks, where at most 50 µs count of each.
+    """Offset at which commands are late by 0.1 µs in the mean of all ticks, where at most 50 µs count of each.
 
     A command that is not ready in time moves the offset up to where it was ready, but by 50 µs at most; each that is
-    lets it sink by 0.04 µs. So the offset rests where both come to the same (stochastic approximation, Robbins and
-    Monro, 1951, of the level that the times exceed by 0.04 µs in the mean): where they have an exponential tail with a
-    mean of 20 µs, one command in 500 is late. The next one leaves as long after its deadline as the late one did, so
-    each costs one interval, not two; with the 99.5 % quantile in its place, approached in steps of 8 µs, the 99th
+    lets it sink by 0.1 µs. So the offset rests where both come to the same (stochastic approximation, Robbins and
+    Monro, 1951, of the level that the times exceed by 0.1 µs in the mean): where they have an exponential tail with a
+    mean of 20 µs, one command in 200 is late. The next one leaves as long after its deadline as the late one did, so
+    each costs one interval, not two: with the 99.5 % quantile in its place, approached in steps of 8 µs, the 99th
     percentile of the intervals' deviation was twice to three times as large (measured in a virtual machine).
 
     A time above the cap is not learnt from, as with the margin of the wake-up: no offset would have made up for it.
