@@ -32,8 +32,8 @@ def test_a_host_that_gets_other_work_is_followed_within_a_few_ticks() -> None:
     for _ in range(20):
         late += offset.offset_s < 449e-6
         offset.learn(450e-6)
-    assert late == 7  # 300 us in steps of 50, and one for the 40 us that the offset had sunk by
-    assert offset.offset_s == pytest.approx(450e-6, abs=1e-6)
+    assert late == 6  # 300 us in steps of 50: the offset had the 150 from the start
+    assert offset.offset_s == pytest.approx(450e-6, abs=0.2e-6)
 
 
 def test_the_command_behind_a_late_one_leaves_as_long_after_its_deadline() -> None:
@@ -61,7 +61,7 @@ def test_it_stays_within_its_cap_and_above_zero(period_s: float, cap_s: float) -
     for _ in range(1000):
         offset.learn(cap_s)
         assert offset.offset_s <= cap_s
-    assert offset.offset_s == pytest.approx(cap_s, abs=0.1e-6)
+    assert offset.offset_s == pytest.approx(cap_s, abs=0.2e-6)
     for _ in range(30_000):
         offset.learn(0.0)
     assert 0.0 <= offset.offset_s < 0.1e-6
