@@ -73,13 +73,15 @@ def _draw_rows(panel: Axes, rows: Mapping[str, Any]) -> None:
         panel.annotate(
             _short(p50),
             (p50, height),
-            xytext=(0, 7),
+            xytext=(-7, 0),
             textcoords="offset points",
             fontsize=8,
             color=colour,
-            ha="center",
+            ha="right",
+            va="center",
         )
     panel.set_xscale("log")
+    panel.set_xmargin(0.17)  # the leftmost number has to stay within the panel
     panel.set_yticks(range(len(rows)), [name.replace("_", " ") for name in rows])
     panel.set_ylim(len(rows) - 0.4, -0.7)
     panel.grid(axis="x", alpha=0.3)
