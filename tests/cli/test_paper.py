@@ -20,6 +20,8 @@ from twostage_servo.cli.main import main
 from twostage_servo.paper.errata import ERRATA
 from twostage_servo.paper.methods import METHODS
 
+pytestmark = pytest.mark.long
+
 FIGURES = {
     "overshoot",
     "settling_time_s",

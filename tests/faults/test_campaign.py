@@ -23,6 +23,8 @@ from twostage_servo.faults.table import MEANINGS, TABLE, Fault, Phase
 from twostage_servo.faults.world import World
 from twostage_servo.service.log import open_log
 
+pytestmark = pytest.mark.long
+
 SHARE = [
     (1, Phase.CRUISING), (2, Phase.CHANGEOVER), (3, Phase.HOLDING), (7, Phase.ACCELERATING), (8, Phase.CRUISING),
     (10, Phase.SETTLING), (11, Phase.CRUISING), (13, Phase.IDLE), (15, Phase.CRUISING), (16, Phase.ACCELERATING),
