@@ -188,7 +188,7 @@ def test_clients_are_let_in_when_it_is_their_turn(path: Path) -> None:
 def test_who_cannot_be_let_in_is_told_to_the_log_and_let_in_later(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World, __: ControlSocket) -> None:
         loop = asyncio.get_running_loop()
-        accept, full = loop.sock_accept, [OSError(errno.EMFILE, "Too many open files")] * 3
+        accept, full = loop.sock_accept, [RuntimeError("a defect"), *[OSError(errno.EMFILE, "Too many open files")] * 2]
 
         async def sometimes(listener: socket.socket) -> object:
             connection = await accept(listener)
@@ -209,7 +209,7 @@ def test_who_cannot_be_let_in_is_told_to_the_log_and_let_in_later(path: Path, mo
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
     told = [entry["error"] for entry in logs if entry["event"] == "no client can be let in"]
-    assert told == ["[Errno 24] Too many open files"] * 3
+    assert told == ["OSError(24, 'Too many open files')"] * 2 + ["RuntimeError('a defect')"]
 
 
 def test_the_end_waits_for_nobody_who_waits_to_be_let_in(path: Path) -> None:

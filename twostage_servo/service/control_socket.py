@@ -126,8 +126,8 @@ class ControlSocket:
             while True:
                 try:
                     streams = await self._let_in(listener)
-                except OSError as error:  # no descriptor or memory is left; those who wait go on waiting
-                    self._log.warning("no client can be let in", error=str(error), retry_s=_PAUSE_S)
+                except Exception as error:  # noqa: BLE001 - no descriptor is left, or a defect: nobody is shut out for good
+                    self._log.warning("no client can be let in", error=repr(error), retry_s=_PAUSE_S)
                     await asyncio.sleep(_PAUSE_S)
                 else:
                     task = asyncio.create_task(self._serve(*streams))
