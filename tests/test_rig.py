@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tarfile
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
@@ -15,7 +16,11 @@ sys.path.insert(0, str(TOOLS))
 from rig import fresh_debian as fresh_module  # noqa: E402 - found by the path above
 from rig import guest as guest_module  # noqa: E402
 from rig import run as run_module  # noqa: E402
+from rig import scenarios as scenarios_module  # noqa: E402
 from rig.guest import Guest, RigError  # noqa: E402
+
+if TYPE_CHECKING:
+    from rig.bench import Bench
 
 
 @pytest.fixture
@@ -147,3 +152,29 @@ def test_candumps_log_is_decoded_without_the_package(tmp_path: Path) -> None:
         "commands": 2, "gaps": 1, "feedbacks": 2, "can_fd": 1, "first": 1.0, "last": -1.0, "highest": 1.0,
         "last_command": {"effort": 2.0, "enable": 1}, "braking_commands": 1,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("failures", [0, 1, 2])
+def test_a_scenario_has_a_second_attempt_and_tells_of_the_first(failures: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    restored: list[object] = []
+    monkeypatch.setattr(scenarios_module, "restore", restored.append)
+    left = [AssertionError(f"the axis has tripped {number}") for number in range(failures)]
+
+    def scenario(_: object) -> dict[str, object]:
+        if left:
+            raise left.pop(0)
+        return {"trip_s": 0.1}
+
+    bench = cast("Bench", object())
+    assert (
+        scenarios_module.go_through(scenario, bench)
+        == [
+            {"trip_s": 0.1},
+            {"failed_at_first": "AssertionError: the axis has tripped 0", "trip_s": 0.1},
+            {
+                "failed_at_first": "AssertionError: the axis has tripped 0",
+                "failed": "AssertionError: the axis has tripped 1",
+            },
+        ][failures]
+    )
+    assert restored == [bench] * failures

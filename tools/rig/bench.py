@@ -96,7 +96,7 @@ class Bench:
     def start_without_check(self) -> None:
         """Let the starts that follow leave ExecStartPre out, which takes the guest half a minute each time."""
         dropped_in = Path(f"/run/systemd/system/{UNIT}.d/no-check.conf")
-        dropped_in.parent.mkdir(parents=True)
+        dropped_in.parent.mkdir(parents=True, exist_ok=True)
         dropped_in.write_text("[Service]\nExecStartPre=\n")
         run("systemctl", "daemon-reload")
 

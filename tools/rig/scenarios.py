@@ -5,7 +5,7 @@
 PYTHON is one of a virtual environment that the system's Python has made and that has this package installed, not
 editable: the service runs as a user of its own. One boot, one service with axis x on can0 and axis y on vcan0 (CAN FD),
 each with its simulated drive as a process of its own. The scenarios follow each other: each leaves both axes disarmed.
-Prints a line a scenario, with its figures; `--json` prints them as one object. Exit code 1 if one fails.
+Prints a line a scenario, with its figures; `--json` prints them as one object. Exit code 1 if one fails twice.
 """
 
 import argparse
@@ -48,6 +48,22 @@ SCENARIOS: Final[tuple[Callable[[Bench], Figures], ...]] = (
 )  # fmt: skip
 
 
+def go_through(scenario: Callable[[Bench], Figures], bench: Bench) -> Figures:
+    """Go through one; return its figures, or why it ``failed``.
+
+    It has two attempts, and the figures tell of the first: an emulated bus stalls when the host is kept from its
+    processors, and an axis trips that loses two commands by it. What is wrong is so the second time as well.
+    """
+    told: Figures = {}
+    for key in ("failed_at_first", "failed"):
+        try:
+            return told | scenario(bench)
+        except Exception as error:  # noqa: BLE001 - whatever it is, the others are worth seeing
+            told[key] = f"{type(error).__name__}: {error}"
+            restore(bench)
+    return told
+
+
 def main() -> int:
     """Run all, one after another; also behind one that failed, as far as what it leaves can be mended."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -66,12 +82,9 @@ def main() -> int:
         bench.install()
         for scenario in (one for one in SCENARIOS if one.__name__ in options.only):
             begun = time.monotonic()
-            try:
-                figures = scenario(bench)
-            except Exception as error:  # noqa: BLE001 - whatever it is, the others are worth seeing
+            figures = go_through(scenario, bench)
+            if "failed" in figures:
                 failed.append(scenario.__name__)
-                figures = {"failed": f"{type(error).__name__}: {error}"}
-                restore(bench)
             results[scenario.__name__] = figures | {"seconds": round(time.monotonic() - begun, 1)}
             if not options.json:
                 word = "FAILED" if "failed" in figures else "ok"
