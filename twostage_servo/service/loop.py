@@ -200,8 +200,8 @@ class ServoService:
         """Return the state of service and axes, ready for JSON.
 
         The reports of the axes stand under ``axes``, by their names; that of the only axis, or of the one that is
-        named, stands beside what all have in common. What all
-        have in common, from :func:`report_service`, may be given by whoever asks for several axes in one tick.
+        named, stands beside what all have in common. That may be given, from :func:`report_service`, by whoever asks
+        for several axes in one tick.
 
         Raises
         ------

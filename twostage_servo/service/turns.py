@@ -15,8 +15,8 @@ _FORGETTING: Final = 0.995
 """By this factor the longest turn is forgotten with each one that is shorter."""
 
 
-class Rank(enum.IntEnum):
-    """What a turn is for; the lower goes first."""
+class Rank(enum.Enum):
+    """What a turn is for, in the order in which they go."""
 
     URGENT = 0
     REQUEST = 1
