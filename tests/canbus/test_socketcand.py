@@ -314,6 +314,18 @@ def test_a_frame_that_was_prepared_is_sent_only_as_itself() -> None:
     assert received.decode("ascii") == "".join(frames)
 
 
+@pytest.mark.parametrize("prepared", [True, False])
+def test_a_connection_that_is_closed_is_gone_and_not_full(prepared: bool) -> None:
+    with server(greet) as port:
+        bus = socketcand.SocketcandBus("can0", port=port)
+        bus.shutdown()
+        message = can.Message(arbitration_id=1, is_extended_id=False)
+        if prepared:
+            bus.prepare(message)
+        with pytest.raises(can.CanOperationError, match="cannot send"):
+            bus.send(message)
+
+
 def test_who_drains_the_bus_asks_the_kernel_once(monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = b"< frame 181 1.0 01 >< frame 181 1.0 02 >", b"< frame 181 1.0 03 >"
 
