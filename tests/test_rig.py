@@ -154,27 +154,46 @@ def test_candumps_log_is_decoded_without_the_package(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("failures", [0, 1, 2])
-def test_a_scenario_has_a_second_attempt_and_tells_of_the_first(failures: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    restored: list[object] = []
-    monkeypatch.setattr(scenarios_module, "restore", restored.append)
-    left = [AssertionError(f"the axis has tripped {number}") for number in range(failures)]
+class StallingBench:
+    """Its journal grows by a trip for lost commands, or by another one, whenever a scenario fails."""
 
-    def scenario(_: object) -> dict[str, object]:
-        if left:
-            raise left.pop(0)
+    def __init__(self, *codes: str) -> None:
+        self.codes = list(codes)
+        self.entries: list[dict[str, str]] = []
+
+    def journal(self) -> list[dict[str, str]]:
+        return self.entries
+
+    def scenario(self, _: object) -> dict[str, object]:
+        if self.codes:
+            self.entries.append({"CODE": self.codes.pop(0)})
+            raise AssertionError(f"failed {len(self.entries)}")
         return {"trip_s": 0.1}
 
-    bench = cast("Bench", object())
-    assert (
-        scenarios_module.go_through(scenario, bench)
-        == [
-            {"trip_s": 0.1},
-            {"failed_at_first": "AssertionError: the axis has tripped 0", "trip_s": 0.1},
-            {
-                "failed_at_first": "AssertionError: the axis has tripped 0",
-                "failed": "AssertionError: the axis has tripped 1",
-            },
-        ][failures]
-    )
-    assert restored == [bench] * failures
+
+@pytest.mark.parametrize(
+    ("codes", "told"),
+    [
+        ([], {"trip_s": 0.1}),
+        (["commands_dropped"], {"stalled": "AssertionError: failed 1", "trip_s": 0.1}),
+        (["commands_dropped"] * 2, {"stalled": "AssertionError: failed 1", "failed": "AssertionError: failed 2"}),
+        (["stale_feedback"], {"failed": "AssertionError: failed 1"}),
+    ],
+)
+def test_a_scenario_is_begun_anew_only_after_a_stall_and_only_once(
+    codes: list[str], told: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    restored: list[object] = []
+    monkeypatch.setattr(scenarios_module, "restore", restored.append)
+    bench = StallingBench(*codes)
+    assert scenarios_module.go_through(bench.scenario, cast("Bench", bench)) == told
+    assert len(restored) == len(codes)
+
+
+def test_a_scenario_that_fills_the_bus_itself_has_one_attempt(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scenarios_module, "restore", lambda _: None)
+    bench = StallingBench("commands_dropped")
+    scenario = bench.scenario
+    monkeypatch.setattr(scenarios_module, "_FILL_THE_BUS", {scenario})
+    told = scenarios_module.go_through(scenario, cast("Bench", bench))
+    assert told == {"failed": "AssertionError: failed 1"}
