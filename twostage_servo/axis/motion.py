@@ -5,9 +5,13 @@ from collections import deque
 
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.sample_gap import SampleGap
 
 IMPLAUSIBLE_SAMPLES = 2
 """Samples in a row beyond the innovation limit that are a fault: one is a spike, two are not."""
+
+_LONG_GAP_TICKS = 2
+"""Missed ticks after which the model is tested afresh: what they hid would count as evidence against it."""
 
 _FADING = 0.998
 """Share that is left a tick later of the speed by which the model is judged: a time constant of 5 s."""
@@ -54,11 +58,15 @@ class Motion:
         self.implausible_distance = 0.0
         self.model_test = design.build_model_test()
         self.unchanged_effort = 0.0
+        self._gap = SampleGap(design)
         self._drive = drive
         self._period_s = design.period_s
         self._limits = design.settings.limits
         self._tracking = False
         self._missed = 0
+        self._path: list[float] = []  # the estimate before the ticks that were missed just now, and after each of them
+        self._skipped = 0  # ticks missed since the last sample that was not from before them
+        self._lag_periods = 0  # how much older than usual this tick's sample is
         self._samples_tracked = 0
         self._tracked = 0.0  # the last sample while tracking
         self._ticks_since_tracked = 0
@@ -74,6 +82,7 @@ class Motion:
         self.law.start()
         self.nominal.continue_from(self.law)
         self.model_test.start(self.law.observer)
+        self._gap.close()
         self._speed_of_late = 0.0
         self._was_outlier = False
         self.blind = False
@@ -108,28 +117,46 @@ class Motion:
     def begin_tick(self, missed: int) -> None:
         """Open a tick, before which some were missed."""
         self._missed = missed
+        if not missed:
+            self._path.clear()
 
     def skip(self, periods: int) -> None:
         """Account for ticks that were missed."""
-        self.law.skip(periods)
-        self.nominal.skip(periods)
+        law = self.law
+        self._path = [law.observer.position]
+        self._skipped += periods
         for _ in range(periods):
-            self.model_test.predict(self.law.effort)
+            self._gap.miss(law.observer, law.effort)
+            law.skip(1)
+            self._path.append(law.observer.position)
+            self.model_test.predict(law.effort)
+        self.nominal.skip(periods)
 
     def step(self) -> float:
         """Run the law for a tick and return the effort in effort unit."""
         sample, before = self._believed_sample(), self._effort
+        lag = self._lag_periods
+        if sample is not None and lag:
+            self._gap.reopen(lag, self.law.observer, before)
+        elif sample is not None:
+            self._gap.take()
         self._effort = self.law.step(sample)
         self.nominal.step(None)
         if sample is None:
             self.predicted += 1
+        if sample is None or lag:  # one from before a gap says nothing of how the plant has answered since
             self.model_test.predict(before)
+        elif self._skipped >= _LONG_GAP_TICKS:
+            self.model_test.start(self.law.observer)
+            self._skipped = 0
         else:
+            self._skipped = 0
             # By the speed of the whole move: what a wrong pole does shows while the axis slows down.
             self._speed_of_late = max(_FADING * self._speed_of_late, abs(self.law.observer.velocity))
-            limit = self._innovation_limit(self._speed_of_late)
+            limit = self._gate(self._speed_of_late)
             self.model_test.update(sample, before, self.law.observer, limit)
-            self._compare_with_the_last(sample)
+        if sample is not None:
+            self._compare_with_the_last()
         return self._effort
 
     def track(self) -> None:
@@ -147,7 +174,7 @@ class Motion:
         elif not self._tracking:
             observer.reset(position)
             self._tracking, self._samples_tracked = True, 1
-        elif self._samples_tracked > 1 and abs(position - observer.position) <= self.innovation_limit:
+        elif self._samples_tracked > 1 and abs(position - observer.position) <= self._gate(observer.velocity):
             observer.update(position, effort)
             self._was_outlier = False
         elif self._samples_tracked > 1 and not self._was_outlier:
@@ -186,8 +213,8 @@ class Motion:
 
     @property
     def innovation_limit(self) -> float:
-        """How far a sample may lie from its prediction at the present speed, in axis unit."""
-        return self._innovation_limit(abs(self.law.observer.velocity))
+        """How far a sample may lie from its prediction at the present speed and after a gap, in axis unit."""
+        return self._gate(self.law.observer.velocity) + self._gap.allowance
 
     @property
     def following_error(self) -> float:
@@ -200,10 +227,13 @@ class Motion:
         observer = self.law.observer
         return math.isfinite(self.law.effort + observer.position + observer.velocity + observer.disturbance)
 
-    def _innovation_limit(self, speed: float) -> float:
-        return self._limits.innovation + 1e-3 * self._limits.innovation_time_ms * speed
+    def _gate(self, velocity: float) -> float:
+        return self._limits.innovation + 1e-3 * self._limits.innovation_time_ms * abs(velocity)
 
-    def _compare_with_the_last(self, sample: float) -> None:
+    def _compare_with_the_last(self) -> None:
+        """Compare what the encoder shows, not dated: an encoder that stands still has no speed to date it by."""
+        sample = self._drive.position
+        assert sample is not None  # noqa: S101 - the caller has one
         if self._unchanged is None or abs(sample - self._unchanged[0]) > self._resolution:
             self._unchanged = sample, self._effort
         self.unchanged_effort = abs(self._effort - self._unchanged[1])
@@ -211,23 +241,42 @@ class Motion:
 
     def _believed_sample(self) -> float | None:
         """Return this tick's sample; None if there is none, or none that lies where the model expects it."""
-        sample = self._dated_sample()
-        if sample is None or self.blind:
+        sample, observer = self._dated_sample(), self.law.observer
+        if self.blind:
             return None
-        distance = sample - self.law.observer.position
+        if sample is None:
+            self._gap.miss(observer, self._effort)
+            return None
+        distance = sample - observer.position
         if abs(distance) <= self.innovation_limit:
             self.implausible = 0
             return sample
         self.implausible += 1
         self.implausible_distance = distance
+        self._gap.doubt()
         return None
 
     def _dated_sample(self) -> float | None:
         """Return this tick's sample as it was at the last command, which is when the observer wants it."""
         drive = self._drive
+        self._lag_periods = 0
         if not drive.fresh or drive.position is None:
             return None
         if drive.age_s is None:
             # After missed ticks nobody knows which of them a sample without a date belongs to.
             return None if self._missed else drive.position
-        return drive.position + self.law.observer.velocity * (drive.age_s - self._period_s)
+        lag = drive.age_s / self._period_s - 1.0
+        if not self._missed or lag <= 0.5:
+            return drive.position + self.law.observer.velocity * self._period_s * lag
+        self._lag_periods = min(round(lag), self._missed)
+        return drive.position + self.law.observer.position - self._estimate_before(lag)
+
+    def _estimate_before(self, periods: float) -> float:
+        """Return where the estimate was some periods ago, among the ticks that were missed; in axis unit.
+
+        In that time the speed may have changed by much, so that it would not do to go back by the present one.
+        """
+        place = max(0.0, len(self._path) - 1 - periods)
+        before = int(place)
+        after = min(before + 1, len(self._path) - 1)
+        return self._path[before] + (place - before) * (self._path[after] - self._path[before])

@@ -1,0 +1,124 @@
+"""Samples that are missing: the innovation gate allows what the model can be wrong by in that time, and no more."""
+
+import itertools
+from pathlib import Path
+
+import pytest
+
+from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import AxisDesign, design_axis
+from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.motion import Motion
+from twostage_servo.axis.sample_gap import SampleGap
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
+from twostage_servo.config import load
+from twostage_servo.control.plant import Plant
+
+EXAMPLE_2 = design_axis(load(Path("config/example2.toml")).config.axis, PERIOD_S)
+DEMO = design_axis(axis_settings(), PERIOD_S)
+
+
+class DatedRig(AxisRig):
+    """An axis whose samples are dated, as a bus with time stamps does it."""
+
+    def tick(self, missed: int = 0):  # type: ignore[no-untyped-def]
+        take = self.axis.take_feedback
+        self.axis.take_feedback = lambda feedback: take(  # type: ignore[method-assign]
+            feedback._replace(position=self.answer, age_s=(1 + missed) * PERIOD_S)
+        )
+        command = super().tick(missed)
+        self.axis.take_feedback = take  # type: ignore[method-assign]
+        self.answer = self.sample  # of the command that has left just now
+        return command
+
+    answer = 0.0
+
+
+@pytest.mark.parametrize("rig_class", [AxisRig, DatedRig])
+@pytest.mark.parametrize("missed", [2, 5])
+def test_a_gap_on_a_plant_that_is_off_its_model_is_no_jump_of_the_encoder(
+    rig_class: type[AxisRig], missed: int
+) -> None:
+    """Gain 30 % up, pole 30 % down, an acceleration without limit: in 50 ms the model is wrong by 3 mm."""
+    for tick in range(0, 300, 3):
+        rig = rig_class(Axis(EXAMPLE_2, 16, resolution=0.001), Plant(234.0, 9.8)).armed()
+        rig.axis.move_to(200.0, 100.0)
+        rig.seconds(tick * PERIOD_S)
+        rig.tick(missed)
+        rig.seconds(0.5)
+        assert rig.axis.trip is None, (tick, rig.axis.trip)
+
+
+@pytest.mark.parametrize("rig_class", [AxisRig, DatedRig])
+def test_a_jump_in_a_gap_is_still_one(rig_class: type[AxisRig]) -> None:
+    for tick in (10, 30, 100):
+        rig = rig_class(Axis(EXAMPLE_2, 16, resolution=0.001), Plant(234.0, 9.8)).armed()
+        rig.axis.move_to(200.0, 100.0)
+        rig.seconds(tick * PERIOD_S)
+        rig.sees = lambda position: position + 12.0
+        rig.tick(5)
+        rig.seconds(3.0 * PERIOD_S)
+        assert rig.axis.trip is not None
+        assert rig.axis.trip.code is TripCode.POSITION_JUMP
+
+
+def test_a_host_that_misses_every_other_tick_does_not_widen_the_gate_for_ever() -> None:
+    rig = DatedRig(Axis(DEMO, 16, resolution=0.001)).cruising(velocity=100.0, for_s=1.0)
+    usual = rig.axis.motion.innovation_limit
+    widest = 0.0
+    for _ in range(50):
+        rig.tick(1)
+        widest = max(widest, rig.axis.motion.innovation_limit)
+    assert rig.axis.state is State.SPEED_STAGE
+    assert widest < 1.5 * usual
+
+
+def gap(design: AxisDesign, ticks: int, velocity: float = 100.0, effort: float = 10.0) -> SampleGap:
+    observer = design.build_law().observer
+    observer.velocity = velocity
+    one = SampleGap(design)
+    for _ in range(ticks):
+        one.miss(observer, effort)
+    return one
+
+
+def test_the_allowance_grows_with_the_gap_and_goes_with_the_samples() -> None:
+    assert SampleGap(DEMO).allowance == 0.0
+    grown = [gap(DEMO, ticks).allowance for ticks in range(1, 8)]
+    assert all(after > before > 0.0 for before, after in itertools.pairwise(grown))
+    # 30 % of (180 * 10 + 14 * 100) mm/s2 for 50 ms, less what the pole takes away: 0.96 mm.
+    assert gap(DEMO, 5).allowance == pytest.approx(0.5 * 0.3 * 3200.0 * 0.05**2, rel=0.2)
+    one = gap(DEMO, 5)
+    for _ in range(100):
+        one.take()
+    assert one.allowance == 0.0
+
+
+def test_a_plant_turned_round_has_the_same_allowance() -> None:
+    settings = axis_settings().model_copy(update={"plant": axis_settings().plant.model_copy(update={"gain": -180.0})})
+    mirrored = design_axis(settings, PERIOD_S)
+    assert gap(mirrored, 4, velocity=-100.0).allowance == pytest.approx(gap(DEMO, 4).allowance)
+
+
+def test_an_encoder_that_stands_still_does_not_look_alive_by_the_dates_of_its_samples() -> None:
+    drive = DriveReport(axis_settings(), PERIOD_S, 16)
+    motion = Motion(DEMO, drive, 0.001)
+
+    def report(age_s: float, counter: int) -> None:
+        drive.begin_tick(0, motion.expected_position(driven=True))
+        motion.begin_tick(0)
+        drive.take(Feedback(0.0, counter % 16, True, None, age_s=age_s))
+
+    for counter in range(3):
+        report(PERIOD_S, counter)
+        motion.track()
+    motion.start()
+    motion.set_target(50.0, 20.0)
+    for counter in range(3, 10):
+        report(PERIOD_S + 0.002 * (-1.0) ** counter, counter)
+        motion.step()
+    assert abs(motion.law.observer.velocity) > 2.0  # so that each date moves the sample by more than the resolution
+    assert motion.unchanged_effort > 0.5
