@@ -83,6 +83,7 @@ class Motion:
         self.nominal.continue_from(self.law)
         self.model_test.start(self.law.observer)
         self._gap.close()
+        self._skipped = 0
         self._speed_of_late = 0.0
         self._was_outlier = False
         self.blind = False
