@@ -3,6 +3,7 @@ import errno
 import gc
 import logging
 import os
+import threading
 import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -406,3 +407,24 @@ def test_a_bus_that_cannot_be_set_up_is_shut_down() -> None:
     with pytest.raises(LinkError, match="no filters"):
         link.open()
     assert Unfiltered.shut_down == 1
+
+
+def test_a_bus_is_opened_again_by_the_thread_that_has_opened_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_thread_left(*_: object) -> None:
+        raise RuntimeError("can't start new thread")
+
+    async def main() -> None:
+        link = Link(BusSettings(interface="virtual", channel="reopened"), ())
+        with monkeypatch.context() as patch:
+            patch.setattr(threading.Thread, "start", no_thread_left)
+            with pytest.raises(LinkError, match="can't start new thread"):
+                await link.open_in_thread()
+        await link.open_in_thread()
+        link.close()
+        with monkeypatch.context() as patch:
+            patch.setattr(threading.Thread, "start", no_thread_left)
+            await link.open_in_thread()
+        assert link.is_open
+        link.close()
+
+    asyncio.run(main())

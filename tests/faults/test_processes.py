@@ -279,8 +279,9 @@ def test_a_writer_that_is_not_careful_is_found_out(tmp_path: Path) -> None:
     text = """
 import json, os, sys, time
 from twostage_servo.faults import power_cut
-def write_file(path, document, records):
-    path.parent.mkdir(exist_ok=True)
+def write_file(folder, name, document, records):
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{document['number'] % 5}.json"
     whole = json.dumps(document | {"records": records})
     with path.open("w") as file:
         file.write(whole[:5000])

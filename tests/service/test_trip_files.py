@@ -1,13 +1,16 @@
 """What is kept of a trip on disk, and that no disk ever changes what the axis does."""
 
 import asyncio
+import concurrent.futures
 import errno
+import fcntl
 import itertools
 import json
 import math
 import os
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +19,9 @@ import pytest
 from tests.service.rig import World, simulate
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.service import trip_files
 from twostage_servo.service.recorder import Record
-from twostage_servo.service.trip_files import KEPT, TripFiles, default_folder
+from twostage_servo.service.trip_files import KEPT, TripFiles, default_folder, write_file
 from twostage_servo.simulation.virtual_clock import run
 
 Trace = list[tuple[int, str, int, bytes]]
@@ -164,7 +168,7 @@ def test_a_full_disk_changes_nothing_but_says_so(monkeypatch: pytest.MonkeyPatch
     undisturbed, _ = trip_in_mid_move(None)
 
     def fill() -> None:
-        monkeypatch.setattr(os if where == "fsync" else Path, where, no_space)
+        monkeypatch.setattr(os if where in {"fsync", "open"} else Path, where, no_space)
 
     trace, snapshot = trip_in_mid_move(tmp_path, disk=fill)
     monkeypatch.undo()
@@ -208,9 +212,10 @@ def test_the_next_trip_is_written_when_the_disk_is_well_again(monkeypatch: pytes
 def test_a_disk_that_hangs_is_not_waited_for(tmp_path: Path) -> None:
     hanging, let_go = threading.Event(), threading.Event()
 
-    def hang(path: Path, *_: object) -> None:
+    def hang(folder: Path, *_: object) -> Path:
         hanging.set()
         assert let_go.wait(60)
+        return folder / "it"
 
     async def write() -> None:
         files = TripFiles(tmp_path, hang)
@@ -257,3 +262,216 @@ def test_where_they_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert default_folder() == Path("/var/me/twostage-servo/trips")
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/twostage-servo:/var/lib/other")
     assert default_folder() == Path("/var/lib/twostage-servo/trips")
+
+
+# Names that no clock decides ------------------------------------------------------------------------------------------
+
+
+def write_several(folder: Path, *names: str) -> None:
+    async def write() -> None:
+        files = TripFiles(folder)
+        for name in names:
+            files.write(name, {"name": name}, ())
+        assert files.error is None
+
+    run(write())
+
+
+def names_in(folder: Path) -> list[str]:
+    """Return who has a file in a folder, the oldest first."""
+    return [json.loads(path.read_text(encoding="utf-8"))["name"] for path in sorted(folder.iterdir())]
+
+
+def test_of_two_trips_of_one_moment_both_files_stay_although_the_clock_was_ahead(tmp_path: Path) -> None:
+    for second in range(KEPT):
+        (tmp_path / f"20990101T0000{second:02}Z-7-1-x-jam.json").write_text("{}", encoding="utf-8")
+    write_several(tmp_path, "x-stale_feedback", "y-stale_feedback", "z-stale_feedback")
+    new = sorted(path.name.partition("Z-")[2] for path in tmp_path.iterdir() if path.name.startswith("0000"))
+    assert new == ["x-stale_feedback.json", "y-stale_feedback.json", "z-stale_feedback.json"]
+    assert len(list(tmp_path.iterdir())) == KEPT
+
+
+def test_the_newest_are_kept_whatever_the_clock_is_set_to(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for number in range(KEPT + 7):
+        year = (2099, 1970, 2026)[number % 3]
+        monkeypatch.setattr(time, "gmtime", lambda *_, year=year: time.struct_time((year, 1, 1, 0, 0, 7, 6, 1, 0)))
+        write_several(tmp_path, f"axis{number}")
+    assert names_in(tmp_path) == [f"axis{number}" for number in range(7, KEPT + 7)]
+
+
+def test_the_same_second_process_and_number_after_a_reboot_writes_over_nothing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(time, "gmtime", lambda *_: time.struct_time((2023, 1, 1, 0, 0, 7, 6, 1, 0)))
+    monkeypatch.setattr(os, "getpid", lambda: 1)
+    for _ in range(3):
+        write_several(tmp_path, "x-jam")
+    assert names_in(tmp_path) == ["x-jam"] * 3
+
+
+def test_services_that_share_a_folder_give_each_number_once(tmp_path: Path) -> None:
+    services, each = 8, 5
+    together = threading.Barrier(services)
+
+    def serve(number: int) -> None:
+        together.wait(60)
+        for count in range(each):
+            write_file(tmp_path, "x-jam", {"service": number, "count": count}, ())
+
+    with concurrent.futures.ThreadPoolExecutor(services) as pool:
+        list(pool.map(serve, range(services)))
+    numbers = sorted(int(path.name.partition("-")[0]) for path in tmp_path.iterdir())
+    assert numbers == list(range(1, services * each + 1))
+    written = {
+        (document["service"], document["count"])
+        for document in (json.loads(path.read_text(encoding="utf-8")) for path in tmp_path.iterdir())
+    }
+    assert len(written) == services * each
+
+
+def test_a_name_that_is_taken_is_not_written_over(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    taken = tmp_path / "000001-20230101T000007Z-x-jam.part"
+    monkeypatch.setattr(time, "gmtime", lambda *_: time.struct_time((2023, 1, 1, 0, 0, 7, 6, 1, 0)))
+    iterdir = Path.iterdir
+    seen: list[Path] = []
+
+    def too_early(folder: Path) -> Iterator[Path]:
+        """Look just before somebody else has made a file, on a file system without locks."""
+        if not seen:
+            seen.append(folder)
+            taken.write_text("theirs", encoding="utf-8")
+            return iter(())
+        return iterdir(folder)
+
+    monkeypatch.setattr(Path, "iterdir", too_early)
+    path = write_file(tmp_path, "x-jam", {}, ())
+    assert path.name == "000002-20230101T000007Z-x-jam.json"
+
+
+def test_what_a_power_cut_left_is_removed_and_what_another_service_writes_is_not(tmp_path: Path) -> None:
+    left, earlier, theirs, recipe = (
+        tmp_path / name
+        for name in (
+            "000007-20990101T000000Z-x-jam.part", "20990101T000000Z-7-1-x-jam.part",
+            "000008-20230101T000000Z-y-jam.part", "recipe.part",
+        )
+    )  # fmt: skip
+    for path in (left, earlier, theirs, recipe):
+        path.write_text("{", encoding="utf-8")
+        os.utime(path, (4e9, 4e9))  # of a clock that was ahead
+    with theirs.open() as being_written:
+        fcntl.flock(being_written, fcntl.LOCK_EX)
+        path = write_file(tmp_path, "x-jam", {}, ())
+        assert sorted(tmp_path.iterdir()) == sorted([theirs, recipe, path])
+    assert path.name.startswith("000009-")
+
+
+def test_a_service_that_was_stopped_while_it_had_the_folder_is_not_waited_for(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    pauses: list[float] = []
+    monkeypatch.setattr(time, "sleep", pauses.append)
+    directory = os.open(tmp_path, os.O_RDONLY)
+    try:
+        fcntl.flock(directory, fcntl.LOCK_EX)
+        path = write_file(tmp_path, "x-jam", {}, ())
+    finally:
+        os.close(directory)
+    assert path.exists()
+    assert 1.0 < sum(pauses) < 10.0
+
+
+# No thread, no memory -------------------------------------------------------------------------------------------------
+
+
+def no_thread_left(*_: object) -> None:
+    raise RuntimeError("can't start new thread")
+
+
+def test_a_trip_needs_no_thread_that_is_not_there_yet(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    async def write() -> None:
+        files = TripFiles(tmp_path)
+        files.start()
+        monkeypatch.setattr(threading.Thread, "start", no_thread_left)
+        files.write("x-jam", {"name": "x"}, ())
+        await asyncio.wait(files._writing)
+        await asyncio.sleep(0)
+        assert (files.error, files.latest) == (None, only_file(tmp_path))
+        files.close()
+
+    asyncio.run(write())
+
+
+def test_without_a_thread_the_service_goes_on_and_says_that_there_is_no_file(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    async def write() -> str | None:
+        files = TripFiles(tmp_path)
+        monkeypatch.setattr(threading.Thread, "start", no_thread_left)
+        files.write("x-jam", {}, ())
+        return files.error
+
+    error = asyncio.run(write())
+    assert error is not None
+    assert "can't start new thread" in error
+
+
+@pytest.mark.parametrize("where", ["writer", "snapshot", "recorder"])
+def test_a_trip_for_which_there_is_no_memory_is_told_and_changes_nothing_else(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, where: str
+) -> None:
+    undisturbed, _ = trip_in_mid_move(None)
+
+    def no_memory(*_: object, **__: object) -> Any:
+        raise MemoryError
+
+    def exhaust() -> None:
+        if where == "writer":
+            monkeypatch.setattr(json, "dump", no_memory)
+        elif where == "snapshot":
+            monkeypatch.setattr("twostage_servo.service.reporter.Reporter._document", no_memory)
+        else:
+            monkeypatch.setattr("twostage_servo.service.recorder.Recorder.keep", no_memory)
+
+    trace, snapshot = trip_in_mid_move(tmp_path, disk=exhaust)
+    assert trace == undisturbed
+    assert snapshot["trip"]["file"] is None
+    assert "no memory is left" in snapshot["trip"]["file_error"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_end_waits_until_the_file_is_written(tmp_path: Path) -> None:
+    begun, let_go = threading.Event(), threading.Event()
+
+    def slow(folder: Path, *_: object) -> Path:
+        begun.set()
+        assert let_go.wait(60)
+        (folder / "whole").write_text("", encoding="utf-8")
+        return folder / "whole"
+
+    async def write() -> None:
+        files = TripFiles(tmp_path, slow)
+        files.write("x-jam", {}, ())
+        assert await asyncio.to_thread(begun.wait, 60)
+        let_go.set()
+        files.close()
+        assert (tmp_path / "whole").exists()
+
+    asyncio.run(write())
+
+
+def test_a_disk_that_hangs_keeps_no_service_from_ending(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(trip_files, "_LONGEST_END_S", 0.0)
+    let_go = threading.Event()
+
+    def hang(folder: Path, *_: object) -> Path:
+        assert let_go.wait(60)
+        return folder
+
+    async def write() -> None:
+        files = TripFiles(tmp_path, hang)
+        files.write("x-jam", {}, ())
+        files.close()
+        let_go.set()
+
+    asyncio.run(write())

@@ -16,6 +16,7 @@ from twostage_servo.canbus.link_counters import LinkCounters
 from twostage_servo.canbus.link_error import LinkError, is_full, link_error
 from twostage_servo.canbus.network_interface import NetworkInterface
 from twostage_servo.canbus.socketcand import SocketcandBus
+from twostage_servo.worker_thread import WorkerThread
 
 __all__ = ["BusSettings", "ControllerState", "Link", "LinkCounters", "LinkError"]
 
@@ -82,6 +83,7 @@ class Link:
         self._age: FrameAge | None = None
         self._accepted = frozenset(identifier.identifier for identifier in accepted)
         self._bus: can.BusABC | None = None
+        self._thread = WorkerThread("open_bus")
 
     @property
     def is_open(self) -> bool:
@@ -133,7 +135,12 @@ class Link:
         LinkError
             When it cannot be opened.
         """
-        opening = asyncio.get_running_loop().run_in_executor(None, self.open)
+        # A thread of its own, from the first opening on: a bus that is lost later on has to be opened again on a host
+        # that has no thread left, and neither another bus nor a disk that hangs may stand in the way.
+        try:
+            opening = asyncio.get_running_loop().run_in_executor(self._thread, self.open)
+        except (RuntimeError, MemoryError) as error:
+            raise self._error("cannot be opened", error) from error
         try:
             await asyncio.shield(opening)
         except asyncio.CancelledError:

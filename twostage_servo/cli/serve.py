@@ -88,6 +88,7 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     path = socket_path(machine.service)
     notifier, loop = Notifier(), asyncio.get_running_loop()
     trip_files = TripFiles(Path(machine.service.trip_folder or default_folder()))
+    trip_files.start()
     for station in service.stations:
         station.reporter.trip_files = trip_files
     service.desk.reload = lambda: _reload(service, machine, options)
@@ -108,6 +109,7 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     finally:
         notifier.stopping()
         await control.stop()
+        trip_files.close()
         notifier.close()
 
 

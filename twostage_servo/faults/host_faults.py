@@ -88,8 +88,8 @@ def wall_clock_jumps(world: World, random: Random) -> None:
 def full_disk(world: World, _: Random) -> None:
     """Let every trip file fail for want of space, and ask for one in each of the next 20 ticks."""
 
-    def no_space(path: Path, *_: object) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+    def no_space(folder: Path, *_: object) -> Path:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
     files = TripFiles(Path(tempfile.gettempdir()) / "nowhere", no_space)
     world.station.reporter.trip_files = files

@@ -21,8 +21,6 @@ from twostage_servo.service.trip_files import write_file
 RECORDS = 200
 """Ticks in a file: a recording of 2 s."""
 
-_NAMES = 5
-"""Files that are written in turn, so that each soon replaces an older one."""
 _LONGEST_S = 0.05
 """A file takes some milliseconds."""
 
@@ -53,7 +51,7 @@ def _damage(path: Path) -> str | None:
 def write_for_ever(folder: Path, begun: int) -> None:
     """Write one file after the other; say by a byte that the first one is there."""
     for number in itertools.count():
-        write_file(folder / f"20260101T000000Z-1-{number % _NAMES}-x-power_cut.json", *content(number))
+        write_file(folder, "x-power_cut", *content(number))
         if number == 0:
             os.write(begun, b"!")
 

@@ -65,7 +65,11 @@ class LogWriter:
             try:
                 self._stream.write(line + "\n")
                 self._stream.flush()
-            except (OSError, ValueError):  # the reader went away, or the stream was closed
+            except (
+                OSError,
+                ValueError,
+                MemoryError,
+            ):  # no reader, no stream, or no memory any more
                 self.dropped += 1
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from twostage_servo.axis.trips import Trip
     from twostage_servo.service.station import Station
-    from twostage_servo.service.trip_files import TripFiles
+    from twostage_servo.service.trip_files import Document, TripFiles
 
 
 class Reporter:
@@ -58,19 +58,29 @@ class Reporter:
             self._log.warning("feedback stale" if self._stale else "feedback fresh", tick=tick.index)
 
     def _report_trip(self, tick: Tick) -> None:
-        station, axis = self._station, self._station.axis
+        axis = self._station.axis
         trip = axis.trip
         if trip is not None and trip is not self._trip:
-            station.recorder.keep()
             self._log.error("trip", tick=tick.index, code=trip.code, cause=trip.cause, next_action=trip.next_action)
-            if self.trip_files is not None:
-                self.trip_files.write(
-                    f"{station.name}-{trip.code}",
-                    {"snapshot": self.snapshot(), "fields": Record._fields},
-                    station.recorder.records(),
-                )
+            self._keep_recording(trip)
         self._trip = trip
         for later in list(axis.trips.values())[self._told :]:
             event = "trip, more severe" if later is axis.escalation else "trip, as well"
             self._log.error(event, tick=later.tick, code=later.code, cause=later.cause)
         self._told = max(1, len(axis.trips))
+
+    def _document(self) -> "Document":
+        return {"snapshot": self.snapshot(), "fields": Record._fields}
+
+    def _keep_recording(self, trip: "Trip") -> None:
+        """Keep the last ticks, in memory and on disk; for want of memory without them, since the axis has to go on."""
+        station = self._station
+        try:
+            station.recorder.keep()
+            if self.trip_files is not None:
+                self.trip_files.write(f"{station.name}-{trip.code}", self._document(), station.recorder.records())
+        except MemoryError as error:
+            if self.trip_files is not None:
+                self.trip_files.fail(error)
+            else:
+                self._log.error("no recording of the trip: no memory is left")
