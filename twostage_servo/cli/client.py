@@ -9,6 +9,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.service.socket_trust import check_server, find_distrust
 
 Answer = dict[str, Any]
 
@@ -46,6 +47,8 @@ class Client:
             self._socket.close()
             if not isinstance(error, PermissionError) and path.exists() and not path.is_socket():
                 raise CommandError(ExitCode.USAGE, "usage", f"{path} is not a socket") from error
+            if distrust := find_distrust(path):
+                raise _untrusted(path, distrust) from error
             hint = {
                 FileNotFoundError: "is the service running? Start it with `twostage-servo run --config FILE`, "
                 "or name its socket with --socket",
@@ -53,6 +56,11 @@ class Client:
                 PermissionError: "you may not use it; its owner and group may, if they may enter its folder",
             }.get(type(error), str(error))
             raise CommandError(ExitCode.UNREACHABLE, "unreachable", f"no service answers at {path}: {hint}") from error
+        try:
+            check_server(self._socket, path)
+        except OSError as error:
+            self._socket.close()
+            raise _untrusted(path, error) from error
         self._lines = self._socket.makefile("rb")
 
     def __enter__(self) -> Self:
@@ -119,6 +127,10 @@ class Client:
 
     def _lost(self, error: object) -> CommandError:
         return CommandError(ExitCode.UNREACHABLE, "connection_lost", f"the service at {self.path} is gone: {error}")
+
+
+def _untrusted(path: Path, error: OSError) -> CommandError:
+    return CommandError(ExitCode.UNREACHABLE, "untrusted_socket", f"the socket {path} is not used: {error}")
 
 
 def _raise_failure(answer: Answer) -> None:

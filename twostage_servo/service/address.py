@@ -1,8 +1,9 @@
 """Where the control socket lies. Imported by the command line, so it imports next to nothing."""
 
 import os
-import stat
 from pathlib import Path
+
+from twostage_servo.service.socket_trust import check_folder, find_distrust
 
 SYSTEM_SOCKET = Path("/run/twostage-servo/control.sock")
 ENVIRONMENT_VARIABLE = "TWOSTAGE_SERVO_SOCKET"
@@ -24,9 +25,13 @@ def own_socket() -> Path:
 
 
 def find_socket() -> Path:
-    """Return the path that a client tries: the user's own service, else the system's."""
+    """Return the path that a client tries: the user's own service, else the system's.
+
+    What another user has put in the place of the own socket is nobody's service, and does not hide the system's.
+    """
     own = own_socket()
-    return own if _is_there(own) or not _is_there(SYSTEM_SOCKET) else SYSTEM_SOCKET
+    is_own = _is_there(own) and (ENVIRONMENT_VARIABLE in os.environ or find_distrust(own) is None)
+    return own if is_own or not _is_there(SYSTEM_SOCKET) else SYSTEM_SOCKET
 
 
 def _is_there(path: Path) -> bool:
@@ -45,14 +50,10 @@ def prepare_folder(socket: Path) -> None:
 
     Raises
     ------
-    PermissionError
-        If the folder belongs to somebody else who could exchange the socket in it.
+    UntrustedSocketError
+        If the folder, or one above it, belongs to somebody else who could exchange the socket in it.
+    OSError
+        If it cannot be made.
     """
-    folder = socket.parent
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    status = folder.stat()
-    owned = status.st_uid in {os.getuid(), 0}
-    writable_by_all = status.st_mode & stat.S_IWOTH and not status.st_mode & stat.S_ISVTX
-    if not owned or writable_by_all:
-        reason = "is writable by everybody" if owned else f"is user {status.st_uid}'s"
-        raise PermissionError(f"the folder {folder} of the control socket {reason}; set service.socket to another path")
+    socket.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    check_folder(socket)

@@ -9,7 +9,6 @@ import asyncio
 import contextlib
 import itertools
 import json
-import os
 import socket
 import struct
 from collections.abc import Iterator
@@ -20,13 +19,15 @@ import structlog
 from pydantic import ValidationError
 
 from twostage_servo.axis.messages import Refused
-from twostage_servo.service.address import prepare_folder
 from twostage_servo.service.requests import READING, REQUESTS, JogRequest, WatchRequest
 from twostage_servo.service.snapshot import ready_for_json, report_service
+from twostage_servo.service.socket_file import SocketFile, SocketInUseError
 from twostage_servo.service.turns import Rank
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService
+
+__all__ = ["ControlSocket", "SocketInUseError", "encode", "encode_in_pieces"]
 
 Answer = dict[str, Any]
 
@@ -42,10 +43,6 @@ _TOO_MANY = (
 )
 _URGENT = (b'"stop"', b'"disarm"')
 """What makes a line urgent, whatever else it says: it is looked for before the line has been read as JSON."""
-
-
-class SocketInUseError(OSError):
-    """Another service answers at the path of the control socket."""
 
 
 class ControlSocket:
@@ -64,7 +61,9 @@ class ControlSocket:
         self._service = service
         self._connections = itertools.count(1)
         self._moments = itertools.count()
-        self._accepting: asyncio.Task[None] | None = None
+        self._file = SocketFile(path, _MOST_CLIENTS)
+        self._keeping: asyncio.Task[None] | None = None
+        self._listening: set[asyncio.Task[None]] = set()
         self._clients: set[_Client] = set()
         self._serving: set[asyncio.Task[None]] = set()
         self._log = structlog.get_logger().bind(room="control_socket")
@@ -79,29 +78,30 @@ class ControlSocket:
         OSError
             If the path cannot be used.
         """
-        prepare_folder(self.path)
-        _remove_if_dead(self.path)
-        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        previous = os.umask(0o117)  # owner and group only, from the first moment on
-        try:
-            listener.bind(str(self.path))
-        finally:
-            os.umask(previous)
-        listener.setblocking(False)
-        listener.listen(_MOST_CLIENTS)
-        self._accepting = asyncio.create_task(self._accept(listener))
+        listener = self._file.bind()
+        listening = self._listen(listener)
+        turns = self._service.turns
+        keeping = self._file.keep(lambda: turns.turn(Rank.CONNECTION), self._listen, listening, listener)
+        self._keeping = asyncio.create_task(keeping)
 
     async def stop(self) -> None:
         """Stop listening, end all connections, remove the socket."""
-        if self._accepting is None:
-            return
-        self._accepting.cancel()
-        await asyncio.gather(self._accepting, return_exceptions=True)
+        self._file.remove()
+        for task in (working := [*self._listening, self._keeping]):
+            if task is not None:
+                task.cancel()
+        await asyncio.gather(*filter(None, working), return_exceptions=True)
         for client in list(self._clients):
             client.abort()
         await asyncio.gather(*self._serving, return_exceptions=True)
-        self._accepting = None
-        self.path.unlink(missing_ok=True)
+        self._keeping = None
+
+    def _listen(self, listener: socket.socket) -> "asyncio.Task[None]":
+        task = asyncio.create_task(self._accept(listener))
+        self._listening.add(task)
+        task.add_done_callback(self._listening.discard)
+        task.add_done_callback(lambda _: listener.close())  # also where it has not even begun
+        return task
 
     def publish(self, tick: int) -> None:
         """Send a snapshot to the watchers for which one is due; make it only if there are any."""
@@ -299,20 +299,3 @@ def _explain(error: ValidationError) -> str:
         place = ".".join(str(part) for part in detail["loc"])
         parts.append(f"{place}: {detail['msg']}" if place else detail["msg"])
     return "; ".join(parts)
-
-
-def _remove_if_dead(path: Path) -> None:
-    if not path.exists():
-        return
-    if not path.is_socket():
-        raise SocketInUseError(f"{path} exists and is not a socket; remove it, or set service.socket to another path")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(1.0)
-        try:
-            probe.connect(str(path))
-        except ConnectionRefusedError:
-            path.unlink()
-            return
-    raise SocketInUseError(
-        f"another service answers at {path}; end it, or give this one its own path in service.socket"
-    )

@@ -65,11 +65,7 @@ class LogWriter:
             try:
                 self._stream.write(line + "\n")
                 self._stream.flush()
-            except (
-                OSError,
-                ValueError,
-                MemoryError,
-            ):  # no reader, no stream, or no memory any more
+            except (OSError, ValueError, MemoryError):  # no reader, no stream, or no memory any more
                 self.dropped += 1
 
 
