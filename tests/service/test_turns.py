@@ -153,14 +153,57 @@ def test_neither_requests_nor_connections_shut_the_others_out() -> None:
             desk.ask(name, 1e-3)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "abcC"  # the share is used up, but one of each rank comes in any case
+        assert desk.names == "CDab"
         await desk.tick(desk.loop.time() - 1.0)
-        assert desk.names == "abcCdD"
+        assert desk.names == "CDabc"  # one of each rank comes in any case
         for name in "EFGHIJKL":
             desk.ask(name, 1e-3, Rank.CONNECTION)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "abcCdDefgE"
+        assert desk.names == "CDabcEde"  # connections go first, but give way after a third of the share
+
+    on_host(script)
+
+
+def test_who_reads_and_who_is_let_in_leave_each_other_and_the_requests_their_part() -> None:
+    async def script(desk: Desk) -> None:
+        for _ in range(8):
+            desk.ask("C", 0.5e-3, Rank.CONNECTION)
+            desk.ask("R", 0.5e-3, Rank.READING)
+            desk.ask("a", 0.5e-3)
+            desk.ask("w", 0.5e-3, Rank.WATCHING)
+        await asyncio.sleep(0)
+        await desk.tick(desk.loop.time() + PERIOD_S)
+        assert desk.names == "CCRRaaw"
+
+    on_host(script)
+
+
+def test_what_the_loop_does_between_two_turns_counts_as_well() -> None:
+    """A flood of small requests costs mostly the passes of the loop that serve them."""
+
+    async def script(desk: Desk) -> None:
+        for _ in range(120):
+            desk.ask("a", 1e-6)
+        await asyncio.sleep(0)
+        assert isinstance(desk.loop, HostLoop)
+        desk.turns.open(desk.loop.time() + PERIOD_S)
+        for _ in range(200):
+            desk.loop.work(1e-4)  # a pass
+            await asyncio.sleep(0)
+        assert 25 <= len(desk.names) <= 40
+
+    on_host(script)
+
+
+def test_one_who_leaves_the_queue_leaves_no_place_in_it() -> None:
+    async def script(desk: Desk) -> None:
+        waiting = [desk.ask("a", 1e-4) for _ in range(1000)]
+        await asyncio.sleep(0)
+        for task in waiting:
+            task.cancel()
+        await asyncio.gather(*waiting, return_exceptions=True)
+        assert not any(desk.turns._queues.values())
 
     on_host(script)
 

@@ -13,7 +13,7 @@ from fuzz.reproducible import reproducible
 from fuzz.request_maker import RequestMaker
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.canbus.frame import FrameRejected
-from twostage_servo.service.control_socket import encode
+from twostage_servo.service.answers import encode
 
 PER_EPISODE = 5000
 """Frames of one episode, which is a service from its start to its end."""

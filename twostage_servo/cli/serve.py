@@ -82,6 +82,7 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     from twostage_servo.service.assembly import socket_path
     from twostage_servo.service.control_socket import ControlSocket
     from twostage_servo.service.notify import Notifier
+    from twostage_servo.service.request_age import time_asleep_s
     from twostage_servo.service.status_line import StatusLine
     from twostage_servo.service.trip_files import TripFiles, default_folder
 
@@ -92,7 +93,7 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     for station in service.stations:
         station.reporter.trip_files = trip_files
     service.desk.reload = lambda: _reload(service, machine, options)
-    control = ControlSocket(path, service)
+    control = ControlSocket(path, service, time_asleep_s)
     try:
         await control.start()
     except OSError as error:

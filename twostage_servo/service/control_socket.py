@@ -1,48 +1,51 @@
 """The control socket: a Unix socket on which each line is a JSON request and each answer a JSON line.
 
-Whoever may open the socket may command the axis: its folder and file permissions decide. A client that does not read is
-sent no more snapshots until it does; nothing here ever makes a tick wait. Nor do idle clients keep anybody from `stop`:
-when there are too many, the one that has been idle the longest makes room.
+Whoever may open the socket may command the axis: its folder and file permissions decide. Nothing here ever makes a tick
+wait, and all that clients have is bounded: connections, in whatever phase they are, tasks, and what is kept for each.
+Nor do idle clients keep anybody from `stop`: of too many, the one that has been idle the longest makes room.
 """
 
 import asyncio
 import contextlib
+import errno
 import itertools
-import json
 import socket
-import struct
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Final
 
 import structlog
-from pydantic import ValidationError
 
-from twostage_servo.axis.messages import Refused
-from twostage_servo.service.requests import READING, REQUESTS, JogRequest, WatchRequest
-from twostage_servo.service.snapshot import ready_for_json, report_service
+from twostage_servo.service import answers
+from twostage_servo.service.connection import Connection, wake
+from twostage_servo.service.connections import MOST, Connections
+from twostage_servo.service.request_age import RequestAge, no_time_asleep
+from twostage_servo.service.request_handler import RequestHandler
+from twostage_servo.service.request_reading import BadRequestError, longest_line, parse_request, rank_of
+from twostage_servo.service.requests import Request, WatchRequest
 from twostage_servo.service.socket_file import SocketFile, SocketInUseError
+from twostage_servo.service.status_lines import StatusLines
 from twostage_servo.service.turns import Rank
+from twostage_servo.service.watchers import Watchers
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService
 
-__all__ = ["ControlSocket", "SocketInUseError", "encode", "encode_in_pieces"]
+__all__ = ["ControlSocket", "SocketInUseError"]
 
-Answer = dict[str, Any]
-
-_LONGEST_LINE = 65_536
-_MOST_CLIENTS = 64
-_MOST_UNREAD = 262_144
-_RECORDS_A_PIECE = 50
-_PAUSE_S = 1.0
+_BACKLOG: Final = MOST
+_MOST_A_TURN: Final = 16
+"""Clients let in, or pieces of an answer made, in one turn, however little time they seem to take."""
+_PAUSE_S: Final = 1.0
 """After a client that could not be let in."""
-_TOO_MANY = (
-    f"{_MOST_CLIENTS} clients are the most, and this one was idle the longest. Connect again; "
+_LINGER_S: Final = 1.0
+"""For so long a client that sends no more may take what it was answered."""
+_NO_ROOM: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
+_TOO_MANY: Final = (
+    f"{MOST} clients are the most, and this one was idle the longest. Connect again; "
     "`ss -xp` shows which processes hold the others"
 )
-_URGENT = (b'"stop"', b'"disarm"')
-"""What makes a line urgent, whatever else it says: it is looked for before the line has been read as JSON."""
 
 
 class ControlSocket:
@@ -54,18 +57,25 @@ class ControlSocket:
         Path of the socket.
     service
         What the requests are for; it says when they may be served.
+    asleep_s
+        Tells how long the machine has slept, s, for the age of requests.
     """
 
-    def __init__(self, path: Path, service: "ServoService") -> None:
+    def __init__(self, path: Path, service: "ServoService", asleep_s: Callable[[], float] = no_time_asleep) -> None:
         self.path = path
         self._service = service
-        self._connections = itertools.count(1)
-        self._moments = itertools.count()
-        self._file = SocketFile(path, _MOST_CLIENTS)
-        self._keeping: asyncio.Task[None] | None = None
-        self._listening: set[asyncio.Task[None]] = set()
-        self._clients: set[_Client] = set()
+        self._turns = service.turns
+        self._age = RequestAge(service.ticks.period_s, asleep_s)
+        self._status = StatusLines(service)
+        self._handler = RequestHandler(service, self._status, self._age)
+        self._connections = Connections()
+        self._watchers = Watchers(self._connections, self._status, service.turns)
+        self._longest = longest_line(station.name for station in service.stations)
+        self._numbers = itertools.count(1)
         self._serving: set[asyncio.Task[None]] = set()
+        self._file = SocketFile(path, _BACKLOG)
+        self._listening: set[asyncio.Task[None]] = set()
+        self._working: list[asyncio.Task[None]] = []
         self._log = structlog.get_logger().bind(room="control_socket")
 
     async def start(self) -> None:
@@ -80,222 +90,238 @@ class ControlSocket:
         """
         listener = self._file.bind()
         listening = self._listen(listener)
-        turns = self._service.turns
-        keeping = self._file.keep(lambda: turns.turn(Rank.CONNECTION), self._listen, listening, listener)
-        self._keeping = asyncio.create_task(keeping)
+        keeping = self._file.keep(lambda: self._turns.turn(Rank.CONNECTION), self._listen, listening, listener)
+        self._working = [asyncio.create_task(keeping), asyncio.create_task(self._watch())]
 
     async def stop(self) -> None:
-        """Stop listening, end all connections, remove the socket."""
+        """Stop listening, end all connections, remove the socket; waits for no client."""
         self._file.remove()
-        for task in (working := [*self._listening, self._keeping]):
-            if task is not None:
-                task.cancel()
-        await asyncio.gather(*filter(None, working), return_exceptions=True)
-        for client in list(self._clients):
-            client.abort()
-        await asyncio.gather(*self._serving, return_exceptions=True)
-        self._keeping = None
+        tasks = [*self._listening, *self._working, *self._serving]
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+        for connection in self._connections:  # of a task that had not even begun
+            self._end(connection)
+        self._working = []
 
     def _listen(self, listener: socket.socket) -> "asyncio.Task[None]":
-        task = asyncio.create_task(self._accept(listener))
+        task = asyncio.create_task(self._let_in(listener))
         self._listening.add(task)
         task.add_done_callback(self._listening.discard)
         task.add_done_callback(lambda _: listener.close())  # also where it has not even begun
         return task
 
     def publish(self, tick: int) -> None:
-        """Send a snapshot to the watchers for which one is due; make it only if there are any."""
-        lines: dict[str | None, bytes] = {}
-        common: Answer | None = None
-        for client in list(self._clients):
-            if client.every and tick >= client.due and not client.busy:
-                client.due = tick + client.every
-                if client.axis not in lines:
-                    common = report_service(self._service) if common is None else common
-                    lines[client.axis] = encode({"event": "snapshot", **self._service.snapshot(client.axis, common)})
-                if client.send_unless_behind(lines[client.axis]):
-                    client.active = next(self._moments)
+        """Take notice of a tick, and of the watchers for which a snapshot is due; it is made between the ticks."""
+        self._age.tick()
+        self._status.forget()
+        self._watchers.publish(tick)
 
-    async def _accept(self, listener: socket.socket) -> None:
-        """Let clients in, each in a turn of its own; the kernel keeps the others waiting.
+    # Who comes, and who goes -----------------------------------------------------------------------------------------
 
-        An asyncio server lets them in as they come: a client that does nothing but connect then has the service busy
-        all of the time, and with a real-time priority whatever else should run on that core waits.
-        """
+    async def _let_in(self, listener: socket.socket) -> None:
+        """Let clients in, in turns; the kernel keeps the others waiting."""
         with listener:
+            door = _Door(listener, self._age)
             while True:
+                await door.somebody()
                 try:
-                    streams = await self._let_in(listener)
+                    async with self._turns.turn(Rank.CONNECTION):
+                        self._let_some_in(door)
                 except Exception as error:  # noqa: BLE001 - no descriptor is left, or a defect: nobody is shut out for good
                     self._log.warning("no client can be let in", error=repr(error), retry_s=_PAUSE_S)
                     await asyncio.sleep(_PAUSE_S)
-                else:
-                    task = asyncio.create_task(self._serve(*streams))
-                    self._serving.add(task)
-                    task.add_done_callback(self._serving.discard)
+                await asyncio.sleep(0)
 
-    async def _let_in(self, listener: socket.socket) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        connection, _ = await asyncio.get_running_loop().sock_accept(listener)
+    def _let_some_in(self, door: "_Door") -> None:
+        clock = asyncio.get_running_loop().time
+        until_s = clock() + self._turns.slice_s
+        for _ in range(_MOST_A_TURN):
+            try:
+                accepted = door.accept()
+            except OSError as error:
+                if error.errno not in _NO_ROOM or not self._make_room():
+                    raise
+                return
+            if accepted is None:
+                return
+            self._begin(*accepted)
+            if clock() >= until_s:
+                return
+
+    def _begin(self, stream: socket.socket, empty_s: float) -> None:
+        """Begin with a client; one that has come and gone costs no more than this."""
         try:
-            async with self._service.turns.turn(Rank.CONNECTION):
-                return await asyncio.open_unix_connection(sock=connection, limit=_LONGEST_LINE)
+            stream.setblocking(False)
+            connection = Connection(stream, next(self._numbers), self._longest, self._age, empty_s)
         except BaseException:
-            connection.close()
+            stream.close()
             raise
-
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._clients) >= _MOST_CLIENTS:
+        connection.receive()  # most have said what they want by now
+        if connection.ended and not connection.has_line:
+            connection.close()
+            return
+        if self._connections.full:
             self._make_room()
-        client = _Client(writer, next(self._connections))
-        client.active = next(self._moments)
-        self._clients.add(client)
-        try:
-            while line := await self._read_line(client, reader):
-                client.active = next(self._moments)
-                urgent = any(word in line for word in _URGENT)
-                # A turn for each request, and for each piece of a long answer: a tick may come between.
-                async with self._service.turns.turn(Rank.URGENT if urgent else Rank.REQUEST):
-                    if client not in self._clients and not urgent:
-                        break  # it has been told that its connection ends, and must not set an axis moving after that
-                    answer = self._answer(client, line)
-                    pieces = encode_in_pieces(answer)
-                    client.busy = True
-                    client.send(next(pieces))
-                await self._let_others_go(writer)
-                is_long = "records" in answer
-                while is_long:
-                    async with self._service.turns.turn(Rank.REQUEST):
-                        is_long = bool(piece := next(pieces, b""))
-                        client.send(piece)
-                    await self._let_others_go(writer)
-                client.busy = False
-        except ConnectionError as error:
-            self._log.info("client lost", peer=client.peer, error=str(error))
-        except Exception as error:  # noqa: BLE001 - a defect in one answer ends this connection, and nothing else
-            self._log.error("a client could not be served", peer=client.peer, exc_info=error)
-        finally:
-            self._clients.discard(client)
-            self._service.desk.leave(client.peer)
-            client.close()
-            with contextlib.suppress(OSError):  # the other side may be gone already, which ends it as well
-                await writer.wait_closed()
+        self._connections.add(connection)
+        connection.task = task = asyncio.create_task(self._serve(connection))
+        self._serving.add(task)
+        task.add_done_callback(self._serving.discard)
 
-    def _make_room(self) -> None:
-        """End the connection that has been idle the longest, but not that of the client which commands.
-
-        A watcher that takes its snapshots is not idle. One in the middle of a long answer goes last.
-        """
-        holder = self._service.desk.lease.holder
-        client = min((one for one in self._clients if one.peer != holder), key=lambda one: (one.busy, one.active))
-        self._log.warning("a client had to make room", peer=client.peer, clients=len(self._clients))
-        self._clients.discard(client)
-        client.end(encode(_failure("too_many_clients", _TOO_MANY)))
-
-    @staticmethod
-    async def _let_others_go(writer: asyncio.StreamWriter) -> None:
-        """Wait until the client has read most of what it was sent, and for a pass of the loop in any case."""
-        await writer.drain()
-        await asyncio.sleep(0)
-
-    async def _read_line(self, client: "_Client", reader: asyncio.StreamReader) -> bytes:
-        """Return the next line; nothing at the end of the connection, or where it must end."""
-        try:
-            return await reader.readline()
-        except ValueError:  # asyncio's answer to a line beyond the limit
-            client.send(encode(_failure("bad_request", f"a request must fit in {_LONGEST_LINE} bytes")))
-            return b""
-
-    def _answer(self, client: "_Client", line: bytes) -> Answer:
-        try:
-            request = REQUESTS.validate_json(line)
-        except ValidationError as error:
-            return _failure("bad_request", _explain(error))
-        except RecursionError:
-            return _failure("bad_request", "the request is nested too deeply")
-        if not isinstance(request, (*READING, JogRequest)):  # a jog is asked for several times a second
-            self._log.info("request", peer=client.peer, **request.model_dump(exclude_none=True))
-        try:
-            answer = self._service.handle(request, client.peer)
-        except Refused as error:
-            self._log.warning("refused", peer=client.peer, op=request.op, code=error.code, reason=str(error))
-            return _failure(error.code, str(error))
-        if isinstance(request, WatchRequest):
-            client.every, client.axis = request.every, request.axis
-        return {"ok": True, **answer}
-
-
-class _Client:
-    """One connection, with who it is and what it watches."""
-
-    def __init__(self, writer: asyncio.StreamWriter, number: int) -> None:
-        self._writer = writer
-        self.every = 0
-        self.axis: str | None = None
-        self.active = 0
-        self.due = 0
-        self.unsent = 0
-        self.busy = False
-        credentials = writer.get_extra_info("socket").getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
-        process, user, _ = struct.unpack("3i", credentials)
-        self.peer = f"pid {process} uid {user} #{number}"
-
-    def send(self, data: bytes) -> None:
-        if not self._writer.is_closing():
-            self._writer.write(data)
-
-    def send_unless_behind(self, line: bytes) -> bool:
-        if self._writer.is_closing():
+    def _make_room(self) -> bool:
+        """End the connection that matters least; return whether there was one that may be ended."""
+        connection = self._connections.the_one_to_go(self._service.desk.lease.holder)
+        if connection is None:
             return False
-        if self._writer.transport.get_write_buffer_size() > _MOST_UNREAD:
-            self.unsent += 1
-            return False
-        self._writer.write(line)
+        self._log.warning("a client had to make room", peer=connection.peer, clients=len(self._connections))
+        if connection.urgent is not None:  # it shall be carried out, and nobody waits for its answer
+            self._handler.answer(connection.urgent, connection)
+        if not connection.busy:
+            connection.write(answers.failure("too_many_clients", _TOO_MANY))
+        self._end(connection)
+        if connection.task is not None:
+            connection.task.cancel()
         return True
 
-    def close(self) -> None:
-        self._writer.close()
+    def _end(self, connection: Connection) -> None:
+        if connection in self._connections:
+            self._connections.discard(connection)
+            self._service.desk.leave(connection.peer)
+        connection.close()
 
-    def abort(self) -> None:
-        self._writer.transport.abort()
+    # What they ask ---------------------------------------------------------------------------------------------------
 
-    def end(self, line: bytes) -> None:
-        """Say a last line and close, if that can be done without waiting for the client; else cut it off."""
-        if self.busy or self._writer.transport.get_write_buffer_size():
-            self.abort()
-            return
-        self.send(line)
-        if self._writer.transport.get_write_buffer_size():
-            self.abort()
-        else:
-            self.close()
+    async def _serve(self, connection: Connection) -> None:
+        try:
+            while (request := await self._next_request(connection)) is not None:
+                await self._answer(connection, request)
+            self._service.desk.leave(connection.peer)
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_LINGER_S):
+                    await connection.taken()
+        except ConnectionError as error:
+            self._log.info("client lost", peer=connection.peer, error=str(error))
+        except Exception as error:  # noqa: BLE001 - a defect in one answer ends this connection, and nothing else
+            self._log.error("a client could not be served", peer=connection.peer, exc_info=error)
+        finally:
+            self._end(connection)
+
+    async def _next_request(self, connection: Connection) -> Request | None:
+        """Return the next request; None at the end of the connection, or where it must end."""
+        while True:
+            if not connection.has_line:
+                if connection.ended:
+                    return None
+                await connection.readable()
+            async with self._turns.turn(Rank.READING):
+                request = self._read(connection)
+            if request is not None:
+                return request
+            if connection.too_long:
+                return None
+            await connection.taken()
+            await asyncio.sleep(0)
+
+    def _read(self, connection: Connection) -> Request | None:
+        """Read once; return a request if there is one, and answer what is none."""
+        if not connection.has_line:
+            connection.receive()
+        if connection.too_long:
+            text = f"a request must fit in {self._longest} bytes"
+            connection.write(answers.failure("bad_request", text))
+            return None
+        if not connection.has_line:
+            return None
+        self._connections.touch(connection)
+        try:
+            request = parse_request(connection.take_line())
+        except BadRequestError as error:
+            connection.write(answers.failure("bad_request", str(error)))
+            return None
+        if rank_of(request) is Rank.URGENT:
+            connection.urgent = request
+        return request
+
+    async def _answer(self, connection: Connection, request: Request) -> None:
+        """Carry a request out and answer it, in a turn for each piece of work: a tick may come between."""
+        pieces: Iterator[bytes] | None = None
+        is_more = connection.busy = True
+        while is_more:
+            async with self._turns.turn(rank_of(request)):
+                if connection.closed:
+                    return  # it has been told that its connection ends, and must not set an axis moving after that
+                if pieces is None:
+                    connection.urgent = None
+                    pieces, done = self._handler.answer(request, connection)
+                    if done and isinstance(request, WatchRequest):
+                        connection.every, connection.axis = request.every, request.axis
+                is_more = self._send_some(connection, pieces)
+            await connection.taken()
+            await asyncio.sleep(0)
+        connection.busy = False
+
+    def _send_some(self, connection: Connection, pieces: Iterator[bytes]) -> bool:
+        """Make and send some pieces of an answer; return whether there may be more."""
+        clock = asyncio.get_running_loop().time
+        until_s = clock() + self._turns.slice_s
+        made = []
+        for _ in range(_MOST_A_TURN):
+            piece = next(pieces, None)
+            if piece is None:
+                break
+            made.append(piece)
+            if clock() >= until_s:
+                break
+        connection.write(b"".join(made))
+        return piece is not None
+
+    async def _watch(self) -> None:
+        try:
+            await self._watchers.run()
+        except Exception as error:  # noqa: BLE001 - the service ends with it
+            self._service.fail(error)
 
 
-def encode(answer: Answer) -> bytes:
-    """Return an answer as a JSON line; NaN and infinity never leave."""
-    return json.dumps(answer, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+class _Door:
+    """The listening socket, with what is known of when those who wait there came.
 
+    Parameters
+    ----------
+    listener
+        The socket.
+    age
+        Tells the time.
+    """
 
-def encode_in_pieces(answer: Answer) -> Iterator[bytes]:
-    """Yield the same line in pieces of less than a millisecond's work each: a recording may hold thousands of ticks."""
-    if "records" not in answer:
-        yield encode(answer)
-        return
-    records = answer["records"]
-    head = {key: value for key, value in answer.items() if key != "records"}
-    yield encode(head).removesuffix(b"}\n") + b',"records":['
-    for start in range(0, len(records), _RECORDS_A_PIECE):
-        piece = [ready_for_json(record) for record in records[start : start + _RECORDS_A_PIECE]]
-        yield (b"," if start else b"") + encode({"": piece})[5:-3]
-    yield b"]}\n"
+    def __init__(self, listener: socket.socket, age: RequestAge) -> None:
+        self._listener = listener
+        self._age = age
+        self._empty_s = age.now_s()  # nobody waited
+        self._let_in: deque[float] = deque(maxlen=_BACKLOG + 2)  # who comes after so many came after the first of them
 
+    async def somebody(self) -> None:
+        """Wait until somebody waits."""
+        loop, watched_since_s = asyncio.get_running_loop(), self._age.now_s()
+        future = loop.create_future()
+        loop.add_reader(self._listener, wake, future)
+        try:
+            await future
+        finally:
+            loop.remove_reader(self._listener)
+        noticed_s = self._age.noticed_s(watched_since_s)
+        if noticed_s is not None:
+            self._empty_s = max(self._empty_s, noticed_s)
 
-def _failure(code: str, message: str) -> Answer:
-    return {"ok": False, "error": {"code": code, "message": message}}
-
-
-def _explain(error: ValidationError) -> str:
-    parts = []
-    for detail in error.errors(include_url=False, include_context=False)[:5]:
-        place = ".".join(str(part) for part in detail["loc"])
-        parts.append(f"{place}: {detail['msg']}" if place else detail["msg"])
-    return "; ".join(parts)
+    def accept(self) -> tuple[socket.socket, float] | None:
+        """Return a client's socket, and a time at which that did not wait here yet; None if nobody waits."""
+        now_s = self._age.now_s()
+        try:
+            stream, _ = self._listener.accept()
+        except BlockingIOError:
+            self._empty_s = now_s
+            return None
+        empty_s = self._empty_s
+        if len(self._let_in) == self._let_in.maxlen:
+            empty_s = max(empty_s, self._let_in[0])
+        self._let_in.append(now_s)
+        return stream, empty_s

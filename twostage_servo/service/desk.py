@@ -59,7 +59,7 @@ class Desk:
         self._log = structlog.get_logger()
 
     def handle(self, request: Request, client: str) -> dict[str, Any]:
-        """Carry out a request of a client.
+        """Carry out a request of a client, and return what it is told.
 
         Parameters
         ----------
@@ -78,21 +78,53 @@ class Desk:
         except Refused:
             raise
         except Exception as error:
-            self._service.fail(error)
-            raise Refused("internal_error", f"{type(error).__name__}: {error}; the service is stopping") from error
+            raise self.defect(error) from error
+
+    def carry_out(self, request: Request, client: str) -> None:
+        """Carry out a request that changes something, and tell nothing; see :meth:`handle`."""
+        try:
+            self._carry_out(request, client)
+        except Refused:
+            raise
+        except Exception as error:
+            raise self.defect(error) from error
+
+    def defect(self, error: Exception) -> Refused:
+        """Let the service end with a defect that a request has shown; return what its client is told."""
+        self._service.fail(error)
+        return Refused("internal_error", f"{type(error).__name__}: {error}; the service is stopping")
+
+    def station(self, name: str | None) -> "Station":
+        """Return the axis of a name; without one, the only axis.
+
+        Raises
+        ------
+        Refused
+            If there is none of this name, or no name and several axes.
+        """
+        try:
+            return self._service.station(name)
+        except KeyError:
+            names = ", ".join(station.name for station in self._service.stations)
+            text = f"there is no axis {name}" if name is not None else "this concerns one axis, and there are several"
+            raise Refused("which_axis", f"{text}: name one of {names}.") from None
 
     def _handle(self, request: Request, client: str) -> dict[str, Any]:
-        service = self._service
         name = request.axis if isinstance(request, AxisRequest) else None
         if name is not None:
-            self._station(name)  # which refuses one that there is not
+            self.station(name)  # which refuses one that there is not
         if isinstance(request, RecordingRequest):
-            return {"fields": Record._fields, "records": self._station(name).recorder.records()}
+            return {"fields": Record._fields, "records": self.station(name).recorder.records()}
         if not isinstance(request, READING):
-            if service.is_ending:
-                raise Refused("ending", "the service is ending: nothing but reading is possible any more.")
-            self._command(request, client)
-        return service.snapshot(name)
+            self._carry_out(request, client)
+        return self._service.snapshot(name)
+
+    def _carry_out(self, request: Request, client: str) -> None:
+        if isinstance(request, AxisRequest) and request.axis is not None:
+            self.station(request.axis)
+        if self._service.is_ending:
+            raise Refused("ending", "the service is ending: nothing but reading is possible any more.")
+        self._command(request, client)
 
     def leave(self, client: str) -> None:
         """Take notice that a client's connection has ended; one that has commanded has not given its lease back."""
@@ -133,13 +165,13 @@ class Desk:
             case ResetRequest():
                 self._reset(self._stations(request))
             case MoveRequest(positions=None):
-                self._move(self._station(request.axis).axis, request)
+                self._move(self.station(request.axis).axis, request)
             case MoveRequest():
                 self._move_together(request)
             case JogRequest(velocity=velocity):
-                self._station(request.axis).axis.jog(velocity)
+                self.station(request.axis).axis.jog(velocity)
             case HomeRequest(position=position):
-                axis = self._station(request.axis).axis
+                axis = self.station(request.axis).axis
                 if position is None:
                     axis.home()
                 else:
@@ -149,16 +181,8 @@ class Desk:
 
     # Which axes ------------------------------------------------------------------------------------------------------
 
-    def _station(self, name: str | None) -> "Station":
-        try:
-            return self._service.station(name)
-        except KeyError:
-            names = ", ".join(station.name for station in self._service.stations)
-            text = f"there is no axis {name}" if name is not None else "this concerns one axis, and there are several"
-            raise Refused("which_axis", f"{text}: name one of {names}.") from None
-
     def _stations(self, request: AxisRequest) -> "Sequence[Station]":
-        return self._service.stations if request.axis is None else [self._station(request.axis)]
+        return self._service.stations if request.axis is None else [self.station(request.axis)]
 
     def _axes(self, request: AxisRequest) -> "list[Axis]":
         return [station.axis for station in self._stations(request)]
@@ -197,7 +221,7 @@ class Desk:
         assert request.positions is not None  # noqa: S101 - the caller has looked
         moves = []
         for name, position in request.positions.items():
-            axis = self._station(name).axis
+            axis = self.station(name).axis
             speed = axis.settings.cruise_velocity if request.velocity is None else request.velocity
             axis.check_move(position, speed)
             moves.append((axis, position, speed))

@@ -11,6 +11,8 @@ _SHARE: Final = 0.3
 """Share of a period for all clients together: who floods the service takes no more of a core, and no tick waits."""
 _LONGEST_SHARE: Final = 0.2
 """Cap of what a turn is expected to take, as a share of the period: one long turn must not shut the others out."""
+_SLICE_SHARE: Final = 0.05
+"""What a turn that could go on for long should take at most, as a share of the period."""
 _FORGETTING: Final = 0.995
 """By this factor the longest turn is forgotten with each one that is shorter."""
 
@@ -19,29 +21,46 @@ class Rank(enum.Enum):
     """What a turn is for, in the order in which they go."""
 
     URGENT = 0
-    REQUEST = 1
-    CONNECTION = 2
+    CONNECTION = 1
+    READING = 2
+    REQUEST = 3
+    WATCHING = 4
+
+
+_GUARANTEED: Final = {Rank.CONNECTION: 0.1, Rank.READING: 0.1}
+"""Share of a period after which a rank gives way to those behind it, if one of them waits."""
 
 
 class Turns:
     """Hands out turns, one at a time, while there is time for them: by rank, and first come, first served within one.
 
     Between a tick and the next one turns may take 0.3 of a period in all, and none begins so late that it could last
-    into the moment at which the loop has to wait for the deadline. At least one of each rank is given after each tick,
-    however little time there is. Urgent ones may use all of the time that there is.
+    into the moment at which the loop has to wait for the deadline. A turn lasts from the moment at which it is given,
+    so that the passes of the loop between two turns count as well. At least one of each rank is given after each tick,
+    however little time there is. Urgent ones may use all of the time that there is. Letting clients in and reading what
+    they ask go before carrying it out, since a `stop` may be among it, but only up to 0.1 of a period each while
+    others wait.
 
     Parameters
     ----------
     period_s
         Period of the ticks, s.
+
+    Attributes
+    ----------
+    slice_s
+        How long a turn that could go on for long should take at most, s.
     """
 
     def __init__(self, period_s: float) -> None:
-        self._share_s = _SHARE * period_s
+        self.slice_s = _SLICE_SHARE * period_s
+        self._period_s = period_s
         self._largest_s = _LONGEST_SHARE * period_s
         self._longest_s = 0.0
         self._until_s = 0.0
         self._left_s = 0.0
+        self._left_of_rank_s: dict[Rank, float] = {}
+        self._given_s: float | None = None  # since when somebody has a turn that he has not begun
         self._called = False  # somebody has been given a turn and is not done with it
         self._ended = False
         self._queues: dict[Rank, deque[asyncio.Future[None]]] = {rank: deque() for rank in Rank}
@@ -50,8 +69,11 @@ class Turns:
     def open(self, until_s: float) -> None:
         """Begin to hand out turns after a tick; the loop has to be free from `until_s` on, on its clock in s."""
         self._until_s = until_s - self._longest_s
-        self._left_s = self._share_s
+        self._left_s = _SHARE * self._period_s
+        self._left_of_rank_s = {rank: share * self._period_s for rank, share in _GUARANTEED.items()}
         self._owed = set(Rank)
+        if self._given_s is not None:  # the tick itself is nobody's turn
+            self._given_s = asyncio.get_running_loop().time()
         self._call_next()
 
     def end(self) -> None:
@@ -68,12 +90,15 @@ class Turns:
         if not self._ended and (queue or self._called or not self._has_time(rank)):
             await self._stand_in(queue)
         clock = asyncio.get_running_loop().time
-        begun_s = clock()
+        begun_s = clock() if self._given_s is None else self._given_s
+        self._given_s = None
         try:
             yield
         finally:
             taken_s = clock() - begun_s
             self._left_s -= taken_s
+            if rank in self._left_of_rank_s:
+                self._left_of_rank_s[rank] -= taken_s
             self._longest_s = min(max(taken_s, _FORGETTING * self._longest_s), self._largest_s)
             self._owed.discard(rank)
             self._called = False
@@ -86,18 +111,30 @@ class Turns:
             await mine
         except asyncio.CancelledError:
             if mine.done() and not mine.cancelled():  # it was given and is not used: the next one shall have it
-                self._called = False
+                self._called, self._given_s = False, None
                 self._call_next()
+            else:  # clients that come and go must not leave the queue full of those who have gone
+                with contextlib.suppress(ValueError):
+                    queue.remove(mine)
             raise
 
     def _has_time(self, rank: Rank) -> bool:
-        has_share = rank is Rank.URGENT or self._left_s > 0.0
-        return has_share and asyncio.get_running_loop().time() < self._until_s
+        if asyncio.get_running_loop().time() >= self._until_s:
+            return False
+        if rank is Rank.URGENT:
+            return True
+        return self._left_s > 0.0 and (self._left_of_rank_s.get(rank, 1.0) > 0.0 or not self._one_waits_behind(rank))
+
+    def _one_waits_behind(self, rank: Rank) -> bool:
+        return any(queue for other, queue in self._queues.items() if other.value > rank.value)
 
     def _call_next(self) -> None:
         for rank, queue in self._queues.items():
-            if not self._called and (self._has_time(rank) or rank in self._owed):
+            if self._called:
+                return
+            if queue and (self._has_time(rank) or rank in self._owed):
                 self._called = _wake_first(queue)
+                self._given_s = asyncio.get_running_loop().time() if self._called else None
 
 
 def _wake_first(queue: "deque[asyncio.Future[None]]") -> bool:

@@ -1,0 +1,30 @@
+"""Answers as JSON lines, in pieces of little work each: a tick may come between two of them."""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final
+
+from twostage_servo.service.snapshot import ready_for_json
+
+_RECORDS_A_PIECE: Final = 50
+
+Answer = dict[str, Any]
+
+
+def encode(answer: Mapping[str, Any]) -> bytes:
+    """Return an answer as a JSON line; NaN and infinity never leave."""
+    return json.dumps(answer, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+
+
+def failure(code: str, message: str) -> bytes:
+    """Return the line that says why a request is not carried out."""
+    return encode({"ok": False, "error": {"code": code, "message": message}})
+
+
+def recording(fields: Sequence[str], records: Sequence[Iterable[Any]]) -> Iterator[bytes]:
+    """Yield the line of a recording, which may hold thousands of ticks, in pieces of less than a millisecond's work."""
+    yield encode({"ok": True, "fields": fields}).removesuffix(b"}\n") + b',"records":['
+    for start in range(0, len(records), _RECORDS_A_PIECE):
+        piece = [ready_for_json(record) for record in records[start : start + _RECORDS_A_PIECE]]
+        yield (b"," if start else b"") + encode({"": piece})[5:-3]
+    yield b"]}\n"

@@ -1,0 +1,236 @@
+"""One client's connection: what was read and not served, what was answered and not taken, and since when."""
+
+import asyncio
+import contextlib
+import select
+import socket
+import struct
+from collections import deque
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from twostage_servo.service.request_age import RequestAge
+    from twostage_servo.service.requests import Request
+
+_CREDENTIALS: Final = struct.Struct("3i")  # ucred of unix(7): process, user, group
+_DISCARDED: Final = 4
+"""Reads of 64 KiB that are thrown away at the end: with unread data the kernel would take back what was said last."""
+_CLOSED: Final = "this side has closed the connection"
+
+
+class ConnectionClosedError(ConnectionError):
+    """The connection has been closed on this side."""
+
+
+class Connection:
+    """A socket that never waits, with bounded buffers.
+
+    Parameters
+    ----------
+    stream
+        The connected socket.
+    number
+        Tells connections of one process apart.
+    longest
+        Bytes of the longest line.
+    age
+        Tells the time.
+    empty_s
+        Until when there was nothing to be read: the connection did not exist then.
+
+    Attributes
+    ----------
+    peer
+        Process and user at the other end, as the kernel tells them, and the number.
+    arrived_after_s
+        The newest bytes that were read came after this time, on the clock of `age`.
+    ended
+        The other side sends no more.
+    closed
+        This side has closed it.
+    active
+        Number of the latest moment at which it was not idle.
+    busy
+        In the middle of an answer.
+    urgent
+        A request that has been read, is not carried out yet, and must be.
+    every, axis, due
+        What it watches: ticks between two snapshots, 0 for nothing; the axis, None for all; the tick of the next one.
+    unsent
+        Snapshots that it was not sent, because it did not read.
+    task
+        Serves it.
+    """
+
+    def __init__(self, stream: socket.socket, number: int, longest: int, age: "RequestAge", empty_s: float) -> None:
+        self._stream = stream
+        self._longest = longest
+        self._age = age
+        self._empty_s = self.arrived_after_s = empty_s
+        self._incoming = bytearray()
+        self._outgoing: deque[memoryview] = deque()
+        self._broken = False
+        self._readers: set[asyncio.Future[None]] = set()  # those who wait for something to read
+        self._takers: set[asyncio.Future[None]] = set()  # those who wait until all is taken
+        self._hangup = select.poll()
+        self._hangup.register(stream, 0)  # POLLHUP and POLLERR come unasked
+        self.ended = self.closed = self.busy = False
+        self.active = self.every = self.due = self.unsent = 0
+        self.axis: str | None = None
+        self.urgent: Request | None = None
+        self.task: asyncio.Task[None] | None = None
+        credentials = stream.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        process, user, _ = _CREDENTIALS.unpack(credentials)
+        self.peer = f"pid {process} uid {user} #{number}"
+
+    # Reading ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def has_line(self) -> bool:
+        """Whether a line can be taken; one that is too long, or is cut off by the end, counts as one."""
+        return b"\n" in self._incoming or self.too_long or (self.ended and bool(self._incoming))
+
+    @property
+    def too_long(self) -> bool:
+        """Whether the next line is longer than it may be."""
+        return len(self._incoming) > self._longest and b"\n" not in self._incoming[: self._longest]
+
+    def take_line(self) -> bytes:
+        """Return the next line, and forget it."""
+        line, _, rest = self._incoming.partition(b"\n")
+        self._incoming = rest
+        return bytes(line)
+
+    def receive(self) -> None:
+        """Read what there is, up to one line of the greatest length; never waits."""
+        now_s = self._age.now_s()
+        wanted = self._longest + 1 - len(self._incoming)
+        try:
+            data = self._stream.recv(wanted)
+        except BlockingIOError:
+            self._empty_s = now_s
+            return
+        except OSError:
+            self._broken = self.ended = True
+            return
+        self._incoming += data
+        self.arrived_after_s = self._empty_s
+        if len(data) < wanted:
+            self._empty_s = now_s
+        self.ended = not data
+
+    async def readable(self) -> None:
+        """Wait until there is something to read, or the end.
+
+        Raises
+        ------
+        ConnectionClosedError
+            If this side closes it meanwhile.
+        """
+        if self.closed:
+            raise ConnectionClosedError(_CLOSED)
+        loop, watched_since_s = asyncio.get_running_loop(), self._age.now_s()
+        future = loop.create_future()
+        loop.add_reader(self._stream, wake, future)
+        try:
+            await _among(self._readers, future)
+        finally:
+            if not self.closed:
+                loop.remove_reader(self._stream)
+        noticed_s = self._age.noticed_s(watched_since_s)
+        if noticed_s is not None:
+            self._empty_s = max(self._empty_s, noticed_s)
+
+    @property
+    def gone(self) -> bool:
+        """Whether nobody is there any more: the other side has closed both directions."""
+        return self._broken or self.closed or bool(self._hangup.poll(0))
+
+    # Writing ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def has_unsent(self) -> bool:
+        """Whether some of what was written is not taken yet."""
+        return bool(self._outgoing)
+
+    def write(self, data: bytes) -> None:
+        """Send what the other side takes, keep the rest; what is written to nobody is lost."""
+        if not data or self.closed or self._broken:
+            return
+        self._outgoing.append(memoryview(data))
+        if len(self._outgoing) == 1:
+            self._flush()
+
+    def send_snapshot(self, line: bytes) -> bool:
+        """Send a snapshot, unless something older still waits to be taken; return whether it was sent."""
+        if self._outgoing or self.closed or self._broken:
+            self.unsent += 1
+            return False
+        self.write(line)
+        return True
+
+    async def taken(self) -> None:
+        """Wait until the other side has taken all that was written, or is gone.
+
+        Raises
+        ------
+        ConnectionClosedError
+            If this side closes it meanwhile.
+        """
+        while self._outgoing and not self._broken:
+            await _among(self._takers, asyncio.get_running_loop().create_future())
+
+    def close(self) -> None:
+        """Close it at once; what was not taken is lost."""
+        if self.closed:
+            return
+        self.closed = True
+        loop = asyncio.get_running_loop()
+        loop.remove_reader(self._stream)
+        loop.remove_writer(self._stream)
+        self._outgoing.clear()
+        for future in self._readers | self._takers:
+            if not future.done():
+                future.set_exception(ConnectionClosedError(_CLOSED))
+        with contextlib.suppress(OSError):  # nothing is left, or nobody is there
+            for _ in range(_DISCARDED):
+                if not self._stream.recv(65_536):
+                    break
+        self._stream.close()
+
+    # Small parts -----------------------------------------------------------------------------------------------------
+
+    def _flush(self) -> None:
+        """Send what is taken now; go on as soon as more is."""
+        while self._outgoing:
+            data = self._outgoing[0]
+            try:
+                sent = self._stream.send(data)
+            except BlockingIOError:
+                asyncio.get_running_loop().add_writer(self._stream, self._flush)
+                return
+            except OSError:
+                self._broken = True
+                self._outgoing.clear()
+                break
+            if sent < len(data):
+                self._outgoing[0] = data[sent:]
+            else:
+                self._outgoing.popleft()
+        asyncio.get_running_loop().remove_writer(self._stream)
+        for future in self._takers:
+            wake(future)
+
+
+async def _among(waiting: "set[asyncio.Future[None]]", future: "asyncio.Future[None]") -> None:
+    waiting.add(future)
+    try:
+        await future
+    finally:
+        waiting.discard(future)
+
+
+def wake(future: "asyncio.Future[None]") -> None:
+    """Let whoever waits for a future go on, unless he goes on already."""
+    if not future.done():
+        future.set_result(None)

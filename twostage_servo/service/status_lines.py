@@ -1,0 +1,79 @@
+"""The state of service and axes as JSON lines: each part is made once a tick, and shared by all who ask."""
+
+import json
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from twostage_servo.service.answers import encode
+from twostage_servo.service.snapshot import report_service
+
+if TYPE_CHECKING:
+    from twostage_servo.service.loop import ServoService
+    from twostage_servo.service.station import Station
+
+
+class StatusLines:
+    """Makes the answers to `status` and to commands, and the snapshots of watchers.
+
+    The report of one axis is one piece of work. A line of many axes whose making the next tick interrupts goes on with
+    what they report then: each axis' report is of one tick, and those of a line are of one tick or of two in a row.
+
+    Parameters
+    ----------
+    service
+        What is reported.
+
+    Attributes
+    ----------
+    made
+        Reports of axes that were made, rather than taken from what there was.
+    """
+
+    def __init__(self, service: "ServoService") -> None:
+        self._service = service
+        self._common: bytes | None = None
+        self._axes: dict[str, bytes] = {}
+        self.made = 0
+
+    def forget(self) -> None:
+        """Make everything anew: a tick has passed, or a request has changed something."""
+        self._common = None
+        self._axes.clear()
+
+    def line(self, name: str | None, before: bytes) -> Iterator[bytes]:
+        """Yield a line in pieces.
+
+        Parameters
+        ----------
+        name
+            The axis; None for the only one, or for all.
+        before
+            What the object begins with, up to a comma.
+        """
+        stations = self._service.stations
+        if name is None and len(stations) > 1:
+            yield before + self._of_service() + b',"axes":{'
+            comma = b""
+            for station in stations:
+                yield comma + json.dumps(station.name).encode() + b":{" + self._of_axis(station) + b"}"
+                comma = b","
+            yield b"}}\n"
+        else:
+            yield before + self._of_service() + b"," + self._of_axis(self._service.station(name)) + b"}\n"
+
+    def _of_service(self) -> bytes:
+        if self._common is None:
+            self._common = _inside(report_service(self._service))
+        return self._common
+
+    def _of_axis(self, station: "Station") -> bytes:
+        part = self._axes.get(station.name)
+        if part is None:
+            self.made += 1
+            part = self._axes[station.name] = _inside(station.report())
+        return part
+
+
+def _inside(report: dict[str, object]) -> bytes:
+    """Return the fields of an object without its braces."""
+    return encode(report)[1:-2]
