@@ -1,5 +1,6 @@
 """The log's thread and the lateness histogram."""
 
+import contextlib
 import io
 import json
 import logging
@@ -162,10 +163,44 @@ def test_of_a_flood_the_log_has_the_beginning_and_the_number() -> None:
 
 
 def test_texts_that_never_come_twice_do_not_fill_the_memory() -> None:
-    limit = RateLimit()
+    now_s = 0.0
+    limit = RateLimit(burst=100, window_s=10.0, clock=lambda: now_s)
+    through = 0
     for number in range(5000):
-        limit(None, "info", {"event": f"number {number}"})
+        with contextlib.suppress(structlog.DropEvent):
+            limit(None, "info", {"event": f"number {number}"})
+            through += 1
     assert len(limit._kinds) <= 1000
+    assert through <= 1100
+    now_s = 20.0
+    for number in range(5000, 5999):
+        limit(None, "info", {"event": f"number {number}"})
+
+
+def test_a_flood_of_made_up_names_is_one_kind_and_hides_nobody_else() -> None:
+    limit = RateLimit(clock=lambda: 0.0)
+    through = 0
+    for number in range(8000):
+        with contextlib.suppress(structlog.DropEvent):
+            refusal = {"event": "refused", "axis": f"made up {number}", "op": "move", "code": "which_axis"}
+            limit(None, "warning", refusal | {"reason": f"there is no axis {number}", "peer": f"#{number}"})
+            through += 1
+    assert through == 100
+    assert limit(None, "warning", {"event": "refused", "axis": "x", "op": "reset", "code": "busy"})
+    assert limit(None, "error", {"event": "trip", "axis": "x", "code": "jam"})
+
+
+def test_what_a_library_logs_is_one_kind_a_library() -> None:
+    stream = io.StringIO()
+    writer = open_log("info", stream)
+    for number in range(300):
+        logging.getLogger("chatty").warning("number %d", number)
+    logging.getLogger("other").warning("once")
+    writer.close()
+    told = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert [one["event"] for one in told[-2:]] == ["number 99", "once"]
+    assert len(told) == 101
+    assert "library" not in told[0]
 
 
 def test_a_log_within_a_log_gives_the_outer_one_back() -> None:

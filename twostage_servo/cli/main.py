@@ -7,11 +7,12 @@ import sys
 from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import TextIO
+from typing import IO, TextIO
 
 from twostage_servo import __version__
 from twostage_servo.cli import demo, engineer, faults, host, install_service, operate, paper, serve
 from twostage_servo.cli.output import CommandError, ExitCode, note, print_json
+from twostage_servo.printable import printable
 
 _EPILOG = """\
 exit codes: 0 done, 2 bad usage or configuration, 3 the axis tripped or did not do it, 4 no service answers
@@ -19,9 +20,16 @@ start here: twostage-servo demo
 """
 
 
+class _Parser(argparse.ArgumentParser):
+    """Repeats what it was given, which may be anything, only in characters that a terminal shows."""
+
+    def _print_message(self, message: str, file: "IO[str] | None" = None) -> None:  # type: ignore[override]
+        super()._print_message(printable(message), file)
+
+
 def build_parser() -> argparse.ArgumentParser:
     """Return the parser of the whole command line."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="twostage-servo",
         description="Two-stage servo control over CAN: the service, its simulated drive, and the commands to both.",
         epilog=_EPILOG,

@@ -5,6 +5,8 @@ import sys
 from enum import IntEnum
 from typing import Any
 
+from twostage_servo.printable import printable, printable_json, printable_line
+
 
 class ExitCode(IntEnum):
     """What a script can rely on."""
@@ -32,13 +34,13 @@ class CommandError(Exception):
 
 def print_json(value: Any) -> None:
     """Print one JSON object on a line of its own."""
-    print_line(json.dumps(value, allow_nan=False))
+    print_line(printable_json(json.dumps(value, allow_nan=False)))
 
 
 def print_line(text: str) -> None:
     """Print a line on stdout, at once."""
     try:
-        sys.stdout.write(text + "\n")
+        sys.stdout.write(printable(text) + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         raise
@@ -48,7 +50,7 @@ def print_line(text: str) -> None:
 
 def note(text: str) -> None:
     """Print a line on stderr, where it does not mix with results."""
-    sys.stderr.write(text + "\n")
+    sys.stderr.write(printable(text) + "\n")
     sys.stderr.flush()
 
 
@@ -61,7 +63,7 @@ class Progress:
     def show(self, text: str) -> None:
         """Replace the line."""
         if self._live:
-            sys.stderr.write("\r\x1b[K" + text)
+            sys.stderr.write("\r\x1b[K" + printable_line(text))
             sys.stderr.flush()
 
     def end(self) -> None:

@@ -12,6 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final, TextIO
 
+from twostage_servo.printable import printable, printable_line
+
 _SOCKET: Final = "/run/systemd/journal/socket"
 _PRIORITY: Final = {"debug": 7, "info": 6, "warning": 4, "error": 3, "critical": 2}
 _FIELD: Final = re.compile(r"[A-Z][A-Z0-9_]{0,63}")
@@ -34,12 +36,14 @@ def journal_entry(event: Mapping[str, Any]) -> bytes:
     """Return an event as a datagram: a message for eyes, its priority, and each key as a field."""
     axis = f"{event['axis']}: " if "axis" in event else ""
     details = "".join(f" {key}={_detail(value)}" for key, value in event.items() if key not in _NO_DETAIL)
-    traceback = f"\n{event['exception']}" if "exception" in event else ""
-    entry = _field("MESSAGE", f"{axis}{event['event']}{details}{traceback}") + _field("PRIORITY", str(_priority(event)))
+    traceback = "\n" + printable(event["exception"]) if "exception" in event else ""
+    entry = _field("MESSAGE", printable_line(f"{axis}{event['event']}{details}") + traceback) + _field(
+        "PRIORITY", str(_priority(event))
+    )
     for key, value in event.items():
         name = key.upper()
         if key not in _NO_FIELD and name not in _MEANT_OTHERWISE and _FIELD.fullmatch(name):
-            entry += _field(name, value if isinstance(value, str) else json.dumps(value))
+            entry += _field(name, printable(value) if isinstance(value, str) else json.dumps(value))
     return entry
 
 

@@ -1,6 +1,7 @@
 """The log: structlog events as lines, written by a thread, so that a stuck pipe or journal never delays a tick."""
 
 import logging
+import math
 import queue
 import sys
 import threading
@@ -10,11 +11,19 @@ from typing import Any, Final, TextIO
 
 import structlog
 
+from twostage_servo.printable import printable, printable_json, printable_line
 from twostage_servo.service.journal import JournalStream, goes_to_the_journal
 
 _END: Final = None
-_KIND: Final = ("event", "axis", "bus", "code", "op", "now")
+_OF_OURS: Final = ("event", "axis", "bus", "code", "now")
+"""What tells kinds of events apart: words of this program, and names that the configuration gives."""
+_OF_REQUESTS: Final = ("event", "op", "code")
+"""The same where the event is about a request: the client has chosen all the rest."""
+_OF_LIBRARIES: Final = ("room",)
+"""The same for what libraries log, whose texts may have numbers in them."""
 _MOST_KINDS: Final = 1000
+_THE_REST: Final = ("the rest",)
+"""One kind for all that would be more than that."""
 
 
 class LogWriter:
@@ -72,8 +81,9 @@ class LogWriter:
 class RateLimit:
     """Lets no event of one kind through more than so often: of a flood, the log has the beginning.
 
-    Of one kind are events of the same text, axis, bus and code, of the same request and of the same new state: a flood
-    of set-points hides nobody's reset. How many were left out is told with the next one of their kind, as ``left_out``.
+    Of one kind are events of the same text, axis, bus and code, and of the same new state; or of the same request and
+    code, whatever else the request says: a flood of set-points hides nobody's reset, and nobody makes kinds by making
+    up names. How many were left out is told with the next one of their kind, as ``left_out``.
 
     Parameters
     ----------
@@ -90,6 +100,7 @@ class RateLimit:
         self._window_s = window_s
         self._clock = clock
         self._kinds: dict[tuple[str, ...], _Window] = {}
+        self._next_look_s = -math.inf
 
     def __call__(self, _: Any, method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
         """Return the event, or leave it out.
@@ -100,11 +111,9 @@ class RateLimit:
             When there were too many of its kind.
         """
         now_s = self._clock()
-        kind = (method, *(str(event.get(key)) for key in _KIND))
+        kind = self._known(_kind(method, event), now_s)
         window = self._kinds.get(kind)
         if window is None or now_s >= window.ends_s:
-            if len(self._kinds) >= _MOST_KINDS:  # texts of libraries, which may have numbers in them
-                self._kinds.clear()
             left_out = 0 if window is None else window.left_out
             self._kinds[kind] = _Window(now_s + self._window_s)
             if left_out:
@@ -115,6 +124,20 @@ class RateLimit:
             window.left_out += 1
             raise structlog.DropEvent
         return event
+
+    def _known(self, kind: tuple[str, ...], now_s: float) -> tuple[str, ...]:
+        """Return the kind, or the one that stands for all others when there are too many."""
+        if kind in self._kinds or len(self._kinds) < _MOST_KINDS - 1:
+            return kind
+        if now_s >= self._next_look_s:
+            self._next_look_s = now_s + self._window_s
+            self._kinds = {one: window for one, window in self._kinds.items() if now_s < window.ends_s}
+        return kind if len(self._kinds) < _MOST_KINDS - 1 else _THE_REST
+
+
+def _kind(method: str, event: MutableMapping[str, Any]) -> tuple[str, ...]:
+    keys = _OF_LIBRARIES if event.get("library") else _OF_REQUESTS if "op" in event else _OF_OURS
+    return method, *(str(event.get(key)) for key in keys)
 
 
 class _Window:
@@ -143,13 +166,14 @@ def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> 
     """
     stream = stream or sys.stderr
     for_eyes = stream.isatty()
-    render: Any = structlog.dev.ConsoleRenderer(colors=True) if for_eyes else structlog.processors.JSONRenderer()
+    render = _for_eyes if for_eyes else _as_json
     writer = LogWriter(JournalStream(stream) if goes_to_the_journal(stream) else stream, capacity)
     least = logging.getLevelNamesMapping()[level.upper()]
     outer = structlog.get_config() if structlog.is_configured() else None
     structlog.configure(
         processors=[
             RateLimit(),
+            _without_mark,
             structlog.processors.add_log_level,
             structlog.processors.TimeStamper(fmt="iso", utc=not for_eyes),
             structlog.processors.format_exc_info,
@@ -178,8 +202,35 @@ def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> 
     return writer
 
 
+def _without_mark(_: Any, __: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
+    event.pop("library", None)
+    return event
+
+
+_CONSOLE: Final = structlog.dev.ConsoleRenderer(colors=True)
+_JSON: Final = structlog.processors.JSONRenderer()
+
+
+def _for_eyes(logger: Any, method: str, event: MutableMapping[str, Any]) -> str:
+    """Return an event as a line whose colours are its only orders to the terminal, and its traceback below it."""
+    shown = {key: _shown(key, value) for key, value in event.items()}
+    return _CONSOLE(logger, method, shown)
+
+
+def _shown(key: str, value: Any) -> Any:
+    if not isinstance(value, str):
+        return value  # its repr has escapes
+    return printable(value) if key == "exception" else printable_line(value)
+
+
+def _as_json(logger: Any, method: str, event: MutableMapping[str, Any]) -> str:
+    return printable_json(str(_JSON(logger, method, event)))
+
+
 class _FromStandardLibrary(logging.Handler):
     """Passes what libraries log on to structlog."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        structlog.get_logger().log(record.levelno, record.getMessage(), room=record.name, exc_info=record.exc_info)
+        structlog.get_logger().log(
+            record.levelno, record.getMessage(), room=record.name, library=True, exc_info=record.exc_info
+        )

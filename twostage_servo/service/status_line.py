@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Final
 
 from twostage_servo.axis.state import State
+from twostage_servo.printable import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -78,7 +79,7 @@ def status_line(service: "ServoService", missed_lately: int) -> str:
     parts += [_of(station) for station in service.stations]
     if missed_lately:
         parts.append(f"late, {missed_lately} ticks missed in the last second")
-    line = " | ".join(" ".join(part.split()) for part in parts)
+    line = " | ".join(printable(" ".join(part.split())) for part in parts)
     return line.encode()[:_LONGEST].decode(errors="ignore")
 
 

@@ -1,0 +1,151 @@
+"""Nothing that a client, a file or a drive says gives orders to a terminal."""
+
+import io
+import json
+import re
+import sys
+import unicodedata
+from pathlib import Path
+from typing import Any
+
+import pytest
+import structlog
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from twostage_servo.cli.main import build_parser
+from twostage_servo.cli.operate import _describe, _lines
+from twostage_servo.cli.output import Progress, note, print_json, print_line
+from twostage_servo.printable import printable, printable_json, printable_line
+from twostage_servo.service.journal import journal_entry
+from twostage_servo.service.log import open_log
+
+ORDERS = ["\x1b[2J", "\x9b2J", "\x07", "\r", "\x08", "\x7f", "\u202e", "\u2028", "\ud800", "\x00", "\x85", "\n"]
+texts = st.text(st.characters(), max_size=50) | st.lists(st.sampled_from(ORDERS) | st.text(max_size=5), max_size=8).map(
+    "".join
+)
+FIXTURE = [HealthCheck.function_scoped_fixture]
+
+
+def harmless(text: str) -> bool:
+    """Whether a terminal only shows a text, and breaks its lines."""
+    return all(
+        character == "\n" or unicodedata.category(character) not in {"Cc", "Cf", "Cs", "Co", "Zl", "Zp"}
+        for character in text
+    )
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def screen(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stdout", terminal)
+    monkeypatch.setattr(sys, "stderr", terminal)
+    return terminal
+
+
+@given(text=texts)
+def test_what_is_printable_stays_and_what_is_not_is_an_escape(text: str) -> None:
+    shown = printable(text)
+    assert harmless(shown)
+    assert shown.count("\n") == text.count("\n")
+    assert printable(shown) == shown
+    assert "\n" not in printable_line(text)
+    if harmless(text) and text.isprintable():
+        assert shown == text
+    shown.encode()  # which half a surrogate could not be
+
+
+@pytest.mark.parametrize("text", ["400 mm, 24,5 °C", "N·m", "µs", "漢字 😀", "a\u00a0b", "two\nlines", ""])
+def test_usual_text_is_left_alone(text: str) -> None:
+    assert printable(text) == text
+
+
+@given(value=st.recursive(texts, lambda inner: st.lists(inner) | st.dictionaries(texts, inner), max_leaves=5))
+def test_json_stays_the_same_json(value: Any) -> None:
+    text = printable_json(json.dumps(value))
+    assert harmless(text)
+    assert json.loads(text) == value
+
+
+@settings(suppress_health_check=FIXTURE)
+@given(text=texts)
+def test_the_command_line_prints_no_orders(screen: Terminal, text: str) -> None:
+    start = screen.tell()
+    print_line(text)
+    note(text)
+    print_json({"message": text})
+    progress = Progress(quiet=False)
+    progress.show(text)
+    progress.end()
+    shown = screen.getvalue()[start:]
+    assert harmless(shown.replace("\r\x1b[K", ""))  # the live line's own
+
+
+@settings(suppress_health_check=FIXTURE)
+@given(text=texts)
+def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -> None:
+    start = screen.tell()
+    axis = {
+        "name": text, "unit": text, "effort_unit": text, "state": text, "cia402": text, "referenced": False,
+        "position": 1.0, "feedback_age_ms": None, "velocity": None, "disturbance": None, "effort": 0.0, "target": None,
+        "following_error": 0.0, "saturated": False,
+    }  # fmt: skip
+    frames = dict.fromkeys(("received", "sent", "rejected", "lost", "dropped"), 0)
+    lateness = dict.fromkeys(("p50", "p99", "max"), 0.0)
+    status = {
+        "axis": axis, "move": None, "inputs": {text: True}, "frames": frames, "lease": {"holder": text},
+        "trip": {"code": text, "cause": text, "next_action": text, "file": text},
+        "bus": {"open": False, "error": text, "controller": text}, "version": text, "pid": 1, "uptime_s": 0.0,
+        "ticks": {"count": 1, "missed": 0, "lateness_us": lateness, "duration_us": {"whole": lateness}},
+    }  # fmt: skip
+    print_line(_lines(status))
+    print_line(_describe(status))
+    assert harmless(screen.getvalue()[start:])
+
+
+def test_the_parser_repeats_arguments_without_orders(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        build_parser().parse_args(["status", "--no-such\x1b[2J"])
+    said = capsys.readouterr().err
+    assert "--no-such\\x1b[2J" in said
+    assert harmless(said)
+
+
+@pytest.mark.parametrize("kind", [Terminal, io.StringIO])
+@settings(max_examples=30, deadline=None)
+@given(text=texts)
+def test_the_log_gives_no_orders_but_its_own_colours(kind: type[io.StringIO], text: str) -> None:
+    stream = kind()
+    writer = open_log("info", stream)
+    log = structlog.get_logger().bind(axis=text)
+    log.warning(text, reason=text, positions={text: 1.0}, names=[text])
+    log.error("a defect", exc_info=ValueError(text))
+    writer.close()
+    shown = re.sub(r"\x1b\[\d+m", "", stream.getvalue())
+    assert "a defect" in shown
+    assert harmless(shown)
+
+
+@given(text=texts)
+def test_the_journal_has_no_orders_in_its_message(text: str) -> None:
+    entry = journal_entry({"event": text, "level": "info", "axis": text, "reason": text, "more": {text: 1}})
+    first, _, rest = entry.partition(b"\n")
+    assert first.startswith(b"MESSAGE=")
+    assert harmless(first.decode())
+    assert rest.startswith(b"PRIORITY=6\n")
+
+
+def test_no_other_place_writes_to_a_terminal() -> None:
+    """Whoever adds a print has to send it through the functions that are tested here."""
+    package = Path(__file__).resolve().parents[1] / "twostage_servo"
+    writers = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if re.search(r"\bprint\(|sys\.std(out|err)\.write", path.read_text(encoding="utf-8"))
+    }
+    assert writers == {"cli/output.py", "faults/power_cut.py"}  # the latter writes numbers to its parent
