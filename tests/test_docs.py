@@ -105,7 +105,7 @@ def test_every_refusal_is_in_the_page_on_the_control_socket() -> None:
         for code in re.findall(r"`(\w+)`", row)
     }
     sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "twostage_servo").rglob("*.py"))
-    raised = set(re.findall(r'(?:Refused|_failure)\(\s*"(\w+)"', sources))
+    raised = set(re.findall(r'(?:Refused|failure)\(\s*"(\w+)"', sources))
     arming = (ROOT / "twostage_servo" / "axis").glob("*.py")
     raised |= {
         code for path in arming for code in re.findall(r'return \(?\s*"(\w+)",\s', path.read_text(encoding="utf-8"))

@@ -1,7 +1,9 @@
 """What a client makes of a service that ends its connection."""
 
+import contextlib
 import json
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,6 +13,27 @@ from twostage_servo.cli.client import Client
 from twostage_servo.cli.output import CommandError
 
 FAILURE = {"ok": False, "error": {"code": "too_many_clients", "message": "connect again"}}
+
+
+def test_who_finds_the_queue_full_waits_for_a_place_in_it(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener, contextlib.ExitStack() as queue:
+        listener.bind(str(tmp_path / "s"))
+        listener.listen(0)
+        first = queue.enter_context(socket.socket(socket.AF_UNIX))
+        first.connect(str(tmp_path / "s"))
+        with pytest.raises(CommandError, match="others connect to it all of the time") as caught:
+            Client(tmp_path / "s", timeout_s=0.05)
+        assert (caught.value.code, caught.value.exit_code) == ("unreachable", 4)
+
+        def let_in() -> None:
+            for _ in range(2):
+                queue.enter_context(listener.accept()[0])
+
+        waiting = threading.Thread(target=lambda: queue.callback(Client(tmp_path / "s", timeout_s=60.0)._socket.close))
+        waiting.start()
+        let_in()
+        waiting.join(60.0)
+        assert not waiting.is_alive()
 
 
 @pytest.fixture

@@ -2,7 +2,9 @@
 
 import contextlib
 import json
+import math
 import socket
+import struct
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -38,11 +40,10 @@ class Client:
         self.path = path
         self._named = {} if axis is None else {"axis": axis}
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        self._socket.settimeout(timeout_s)
         self._timeout_s = timeout_s
         self._has_commanded = False
         try:
-            self._socket.connect(str(path))
+            _connect(self._socket, path, timeout_s)
         except OSError as error:
             self._socket.close()
             if not isinstance(error, PermissionError) and path.exists() and not path.is_socket():
@@ -53,6 +54,8 @@ class Client:
                 FileNotFoundError: "is the service running? Start it with `twostage-servo run --config FILE`, "
                 "or name its socket with --socket",
                 ConnectionRefusedError: "the service that made this socket has ended; start it again",
+                BlockingIOError: f"others connect to it all of the time, and {timeout_s:g} s were not enough; "
+                "`ss -xp` shows them",
                 PermissionError: "you may not use it; its owner and group may, if they may enter its folder",
             }.get(type(error), str(error))
             raise CommandError(ExitCode.UNREACHABLE, "unreachable", f"no service answers at {path}: {hint}") from error
@@ -131,6 +134,19 @@ class Client:
 
 def _untrusted(path: Path, error: OSError) -> CommandError:
     return CommandError(ExitCode.UNREACHABLE, "untrusted_socket", f"the socket {path} is not used: {error}")
+
+
+def _connect(stream: socket.socket, path: Path, timeout_s: float) -> None:
+    """Connect within a time, also where others are waiting to be let in.
+
+    A socket that never waits is refused at once, with EAGAIN, while the queue of those who wait is full. The kernel's
+    own wait is served first come, first served; a later attempt of our own would compete with whoever else tries.
+    """
+    seconds, rest_s = divmod(timeout_s, 1.0)
+    wait = struct.pack("@ll", int(seconds), min(999_999, math.ceil(1e6 * rest_s)))
+    stream.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, wait)
+    stream.connect(str(path))
+    stream.settimeout(timeout_s)
 
 
 def _raise_failure(answer: Answer) -> None:
