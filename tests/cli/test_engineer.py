@@ -174,3 +174,14 @@ def test_an_effort_in_another_unit_than_the_drives_is_refused(
     path.write_text(DEMO.replace("[simulation]", '[protocol]\ndbc = "drive.dbc"\n\n[simulation]'), encoding="utf-8")
     assert main(["check", str(path)]) == 2
     assert "axis.effort_unit = \"V\": the drive's command signal is in 'Nm'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("shutdown_timeout_ms", "asked_s"), [(800, 12.8), (60_000, 72.0)])
+def test_check_says_how_long_a_service_manager_has_to_wait(
+    capsys: pytest.CaptureFixture[str], shutdown_timeout_ms: int, asked_s: float
+) -> None:
+    arguments = ["check", "--set", f"service.shutdown_timeout_ms={shutdown_timeout_ms}"]
+    assert main([*arguments, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["longest_end_s"] == asked_s
+    assert main(arguments) == 0
+    assert ("may take 72 s to end" in capsys.readouterr().out) is (asked_s > 15.0)

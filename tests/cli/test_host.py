@@ -106,6 +106,16 @@ def test_a_check_that_fails_is_exit_code_3(capsys: pytest.CaptureFixture[str], t
     assert {check["name"] for check in result["checks"] if check["status"] == "fail"} >= {"trip files"}
 
 
+def test_a_socket_that_another_user_could_exchange_fails(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    assert main(["doctor", "--set", f"service.socket={tmp_path}/open/folder/s", "--json"]) == 3
+    checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
+    assert checks["control socket"]["status"] == "fail"
+    assert "writable by everybody" in checks["control socket"]["found"]
+    assert checks["service manager"]["status"] in {"ok", "skip", "warn"}
+
+
 @pytest.mark.parametrize(
     ("bit_rate", "status", "words"),
     [

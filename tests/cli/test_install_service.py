@@ -9,6 +9,7 @@ import pytest
 
 from twostage_servo.cli.install_service import service_files
 from twostage_servo.cli.main import main
+from twostage_servo.service.settings import ServiceSettings, longest_end_s
 
 PROGRAM = Path("/opt/twostage-servo/bin/twostage-servo")
 FILES = service_files(PROGRAM, 250_000)
@@ -85,6 +86,20 @@ def test_nothing_is_left_to_fill_in() -> None:
     assert "NAME" not in plain
     assert f"ExecStart={PROGRAM} run --config /etc/twostage-servo/servo.toml\n" in plain
     assert "RuntimeDirectory=twostage-servo\n" in plain  # where the operators' commands look by themselves
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda path: Path(path).name)
+def test_the_manager_waits_for_the_default_braking_and_for_what_the_service_asks(unit: str) -> None:
+    told = dict(line.split("=", 1) for line in FILES[unit].splitlines() if "=" in line and not line.startswith("#"))
+    assert float(told["TimeoutStopSec"]) >= longest_end_s(ServiceSettings())
+    assert (told["Type"], told["NotifyAccess"]) == ("notify", "main")  # so that it takes EXTEND_TIMEOUT_USEC
+
+
+@pytest.mark.parametrize("unit", UNITS, ids=lambda path: Path(path).name)
+def test_no_signal_is_taken_for_a_clean_end(unit: str) -> None:
+    """Which SIGHUP and SIGPIPE would be by default, and nothing would start the service again."""
+    assert "RestartForceExitStatus=SIGHUP SIGPIPE\n" in FILES[unit]
+    assert "SuccessExitStatus" not in FILES[unit]
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")

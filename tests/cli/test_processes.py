@@ -543,6 +543,28 @@ def test_the_configuration_is_read_again_while_disarmed(machine: Machine) -> Non
 
 # The service itself ---------------------------------------------------------------------------------------------------
 
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1], ids=lambda number: number.name)
+def test_a_signal_that_would_end_the_process_brakes_and_disables_the_drive(
+    machine: Machine, number: signal.Signals
+) -> None:
+    drive = machine.drive()
+    service = machine.service()
+    with machine.listener() as listener:
+        machine.ask("arm")
+        machine.ask("move", "2000")
+        machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 90.0)
+        service.popen.send_signal(number)
+        commands = commands_until_disabled(listener)
+    _, err = service.popen.communicate(timeout=LONGEST_S)
+    assert service.popen.returncode == 128 + number
+    assert f'"signal": "{number.name}"' in err
+    assert commands[-3:] == [(0.0, 0)] * 3
+    assert not machine.socket.exists()
+    _, out, _ = drive.end(signal.SIGHUP)
+    assert json.loads(out)["counters"]["command_timeouts"] == 0
+
+
 WITH_A_DEFECT = (
     sys.executable,
     "-c",

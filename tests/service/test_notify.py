@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 from tests.service.rig import World, simulate
+from twostage_servo.axis.state import State
 from twostage_servo.cli.serve import _feeder
 from twostage_servo.service.notify import Notifier
+from twostage_servo.service.settings import longest_end_s
 
 
 class Manager:
@@ -48,11 +50,12 @@ def test_what_a_service_says_from_start_to_end(manager: Manager, tmp_path: Path)
     told = notifier(tmp_path)
     told.ready()
     told.status("holding")
-    told.stopping()
+    told.stopping(12.8)
+    told.stopping(12.8)
     told.close()
     told.ready()  # closed: nothing
     told.close()
-    assert manager.heard() == ["READY=1", "STATUS=holding", "STOPPING=1"]
+    assert manager.heard() == ["READY=1", "STATUS=holding", "STOPPING=1", "EXTEND_TIMEOUT_USEC=12800000"]
 
 
 def test_an_abstract_address() -> None:
@@ -73,7 +76,7 @@ def test_without_a_manager_nothing_is_said(environment: dict[str, str]) -> None:
     assert told._socket is None
     told.ready()
     told.tick_completed(1.0)
-    told.stopping()
+    told.stopping(1.0)
     told.close()
 
 
@@ -87,7 +90,7 @@ def test_a_manager_that_has_gone_or_does_not_read_is_no_error(tmp_path: Path) ->
     assert 0 < len(heard) < 100_000
     assert set(heard) == {"WATCHDOG=1"}
     manager.socket.close()
-    told.stopping()
+    told.stopping(1.0)
     told.close()
 
 
@@ -163,7 +166,7 @@ def test_a_tick_that_fails_does_not_count_as_completed(
         monkeypatch.setattr(world.service, place, broken)
         with pytest.raises(RuntimeError, match="broken for good"):
             await world.serving
-        assert manager.heard() == []
+        assert "WATCHDOG=1" not in manager.heard()
         told.close()
 
     simulate(script)
@@ -181,7 +184,48 @@ def test_a_publisher_that_fails_does_not_let_the_watchdog_be_fed(manager: Manage
         feed(world, told)
         with pytest.raises(RuntimeError):
             await world.serving
+        assert "WATCHDOG=1" not in manager.heard()
+        told.close()
+
+    simulate(script)
+
+
+@pytest.mark.parametrize("shutdown_timeout_ms", [800.0, 60_000.0])
+def test_the_manager_is_asked_to_wait_for_the_braking_before_that_begins(
+    manager: Manager, tmp_path: Path, shutdown_timeout_ms: float
+) -> None:
+    async def script(world: World) -> None:
+        told = notifier(tmp_path)
+        await world.cruising()
+        feed(world, told)
+        await world.seconds(0.05)
         assert manager.heard() == []
+        world.service.shut_down()
+        await world.seconds(0.02)
+        assert world.state() is State.DISARMING
+        stopping, extended = manager.heard()
+        assert stopping == "STOPPING=1"
+        asked_s = int(extended.removeprefix("EXTEND_TIMEOUT_USEC=")) / 1e6
+        assert asked_s == longest_end_s(world.service.settings) > shutdown_timeout_ms / 1e3
+        await world.until(world.serving.done)
+        assert manager.heard() == []
+        told.close()
+
+    simulate(script, f"service.shutdown_timeout_ms={shutdown_timeout_ms}")
+
+
+def test_a_defect_that_ends_the_service_is_told_to_the_manager_as_well(
+    monkeypatch: pytest.MonkeyPatch, manager: Manager, tmp_path: Path
+) -> None:
+    async def script(world: World) -> None:
+        told = notifier(tmp_path)
+        await world.cruising()
+        feed(world, told)
+        world.service.fail(RuntimeError("a defect"))
+        await world.seconds(0.02)
+        assert manager.heard()[0] == "STOPPING=1"
+        with pytest.raises(RuntimeError, match="a defect"):
+            await world.serving
         told.close()
 
     simulate(script)

@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from twostage_servo.config import Config
     from twostage_servo.service.station import Station
 
+_UNIT_WAITS_S = 15.0
+"""TimeoutStopSec= of the unit that comes with the program."""
+
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Declare the verbs."""
@@ -42,6 +45,7 @@ def _check(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.config import Config, describe
     from twostage_servo.machine import MachineConfig
     from twostage_servo.service.assembly import build_service
+    from twostage_servo.service.settings import longest_end_s
 
     if options.explain:
         rows = [*describe(Config), *(row for row in describe(MachineConfig) if row.key.startswith("machine"))]
@@ -61,11 +65,17 @@ def _check(options: argparse.Namespace) -> ExitCode:
     summaries = [
         _summary(loaded.config, station) for loaded, station in zip(machine.axes, service.stations, strict=True)
     ]
+    ends_within_s = longest_end_s(machine.service)
     if options.json:
         several = {"axes": summaries} if len(summaries) > 1 else summaries[0]
-        print_json({"config": machine.source, "valid": True, **several})
+        print_json({"config": machine.source, "valid": True, "longest_end_s": ends_within_s, **several})
     else:
         print_line(f"{machine.source}: valid. " + "\n".join(map(_sentence, summaries)))
+        if ends_within_s > _UNIT_WAITS_S:
+            print_line(
+                f"With service.shutdown_timeout_ms the service may take {ends_within_s:g} s to end. It asks systemd "
+                "for that; whatever else manages it has to wait as long before it kills it."
+            )
     return ExitCode.DONE
 
 

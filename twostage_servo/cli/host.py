@@ -9,6 +9,7 @@ from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, not
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from twostage_servo.config import Config, LoadedConfig
     from twostage_servo.host.findings import Finding, Host
@@ -223,14 +224,17 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
     from twostage_servo.host.folder_checks import folder_finding
     from twostage_servo.host.kernel import Kernel
     from twostage_servo.host.machine_checks import check_machine
+    from twostage_servo.host.service_manager import service_manager_finding
     from twostage_servo.service.assembly import socket_path
+    from twostage_servo.service.settings import longest_end_s
     from twostage_servo.service.trip_files import default_folder
 
     trips = Path(machine.service.trip_folder or default_folder())
     findings = [
         *check_machine(host, machine.realtime, Kernel(host.proc)),
-        folder_finding("control socket", socket_path(machine.service).parent, "service.socket"),
+        _socket_finding(socket_path(machine.service)),
         folder_finding("trip files", trips, "service.trip_folder"),
+        service_manager_finding(host, longest_end_s(machine.service)),
     ]
     buses: dict[tuple[str, str | int], list[LoadedConfig[Config]]] = {}
     for loaded in machine.axes:
@@ -247,6 +251,16 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
             findings.append(Finding("bus interface", Status.SKIP, found))
         findings.append(_load_finding(axes, machine.service.tick_ms / 1e3, bit_rate))
     return findings
+
+
+def _socket_finding(path: "Path") -> "Finding":
+    from twostage_servo.host.findings import Finding, Status
+    from twostage_servo.host.folder_checks import folder_finding
+    from twostage_servo.service.socket_trust import find_distrust
+
+    if distrust := find_distrust(path):
+        return Finding("control socket", Status.FAIL, str(distrust), "set service.socket to another path")
+    return folder_finding("control socket", path.parent, "service.socket")
 
 
 def _load_finding(axes: "list[LoadedConfig[Config]]", tick_s: float, bit_rate: int | None) -> "Finding":

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import signal
 from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_machine
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     from twostage_servo.canbus.profile import DriveProfile
     from twostage_servo.config import Config
     from twostage_servo.machine import Machine
+    from twostage_servo.service.ending_signals import EndingSignals
     from twostage_servo.service.loop import ServoService
     from twostage_servo.service.notify import Notifier
     from twostage_servo.ticks import Tick
@@ -25,7 +25,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     run = verbs.add_parser(
         "run",
         help="run the service",
-        description="Run the service until SIGTERM or Ctrl-C; a moving axis is then brought to rest and disabled.",
+        description="Run the service until SIGTERM or Ctrl-C; a moving axis is then brought to rest and disabled. So "
+        "it is on any other signal that can be caught, with 128 and its number as the exit code.",
     )
     add_options(run, required=True)
     run.set_defaults(run=_run)
@@ -38,7 +39,15 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     drive.set_defaults(run=_drive)
 
 
-def _run(options: argparse.Namespace) -> ExitCode:
+def _run(options: argparse.Namespace) -> int:
+    from twostage_servo.service.ending_signals import EndingSignals
+
+    with EndingSignals() as signals:
+        _run_service(options, signals)
+        return signals.exit_code
+
+
+def _run_service(options: argparse.Namespace, signals: "EndingSignals") -> None:
     import asyncio
 
     from twostage_servo.service.assembly import build_service
@@ -52,12 +61,11 @@ def _run(options: argparse.Namespace) -> ExitCode:
         with configuration_problems():
             service = build_service(machine)
         with asyncio.Runner(loop_factory=real_time_loop) as runner, punctual(service, machine.realtime):
-            runner.run(_serve(service, machine, options))
+            runner.run(_serve(service, machine, options, signals))
     finally:
         writer.close()
     if options.json:
         print_json(service.snapshot())
-    return ExitCode.DONE
 
 
 def _load_for_processes(options: argparse.Namespace) -> "Machine":
@@ -73,7 +81,9 @@ def _load_for_processes(options: argparse.Namespace) -> "Machine":
     return machine
 
 
-async def _serve(service: "ServoService", machine: "Machine", options: argparse.Namespace) -> None:
+async def _serve(
+    service: "ServoService", machine: "Machine", options: argparse.Namespace, signals: "EndingSignals"
+) -> None:
     import asyncio
     from pathlib import Path
 
@@ -83,11 +93,13 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     from twostage_servo.service.control_socket import ControlSocket
     from twostage_servo.service.notify import Notifier
     from twostage_servo.service.request_age import time_asleep_s
+    from twostage_servo.service.settings import longest_end_s
     from twostage_servo.service.status_line import StatusLine
     from twostage_servo.service.trip_files import TripFiles, default_folder
 
     path = socket_path(machine.service)
     notifier, loop = Notifier(), asyncio.get_running_loop()
+    signals.call(service.shut_down, loop)
     trip_files = TripFiles(Path(machine.service.trip_folder or default_folder()))
     trip_files.start()
     for station in service.stations:
@@ -101,14 +113,13 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
     service.publishers.append(lambda tick: control.publish(tick.index))
     service.publishers.append(StatusLine(service, notifier.status).publish)
     service.publishers.append(_feeder(service, notifier, loop))
-    _on_signals(service.shut_down)
     notifier.ready()
     names = [station.name for station in service.stations]
     structlog.get_logger().info("listening", socket=str(path), config=machine.source, axes=names)
     try:
         await service.run()
     finally:
-        notifier.stopping()
+        notifier.stopping(longest_end_s(machine.service))
         await control.stop()
         trip_files.close()
         notifier.close()
@@ -117,9 +128,12 @@ async def _serve(service: "ServoService", machine: "Machine", options: argparse.
 def _feeder(
     service: "ServoService", notifier: "Notifier", loop: "asyncio.AbstractEventLoop"
 ) -> "Callable[[Tick], None]":
-    """Return the publisher that gives a sign of life for a tick; it has to be the last one."""
+    """Return the publisher that gives a sign of life for a tick, and tells of the end; it has to be the last one."""
+    from twostage_servo.service.settings import longest_end_s
 
     def feed(tick: "Tick") -> None:
+        if service.is_ending:
+            notifier.stopping(longest_end_s(service.settings))
         if tick.index != service.failed_tick:
             notifier.tick_completed(loop.time())
 
@@ -143,7 +157,15 @@ def _reload(service: "ServoService", running: "Machine", options: argparse.Names
     structlog.get_logger().info("configuration read again", config=fresh.source)
 
 
-def _drive(options: argparse.Namespace) -> ExitCode:
+def _drive(options: argparse.Namespace) -> int:
+    from twostage_servo.service.ending_signals import EndingSignals
+
+    with EndingSignals() as signals:
+        _run_drives(options, signals)
+        return signals.exit_code
+
+
+def _run_drives(options: argparse.Namespace, signals: "EndingSignals") -> None:
     import asyncio
 
     from twostage_servo.service.assembly import compile_profile
@@ -156,15 +178,16 @@ def _drive(options: argparse.Namespace) -> ExitCode:
         with configuration_problems():
             profiles = [compile_profile(loaded) for loaded in machine.axes]
         with asyncio.Runner(loop_factory=real_time_loop) as runner:
-            summaries = runner.run(_simulate([loaded.config for loaded in machine.axes], profiles))
+            summaries = runner.run(_simulate([loaded.config for loaded in machine.axes], profiles, signals))
     finally:
         writer.close()
     if options.json:
         print_json(summaries[0] if len(summaries) == 1 else {"drives": summaries})
-    return ExitCode.DONE
 
 
-async def _simulate(configs: "list[Config]", profiles: "list[DriveProfile]") -> list[dict[str, Any]]:
+async def _simulate(
+    configs: "list[Config]", profiles: "list[DriveProfile]", signals: "EndingSignals"
+) -> list[dict[str, Any]]:
     import asyncio
     import dataclasses
 
@@ -185,10 +208,10 @@ async def _simulate(configs: "list[Config]", profiles: "list[DriveProfile]") -> 
         for node in nodes:
             node.stop()
 
+    signals.call(stop, asyncio.get_running_loop())
     async with contextlib.AsyncExitStack() as stack:
         for config in {(config.bus.interface, config.bus.channel): config for config in configs}.values():
             await _serve_bus(config, stack)
-        _on_signals(stop)
         await asyncio.gather(*(node.run() for node in nodes))
     return [
         {
@@ -217,11 +240,3 @@ async def _serve_bus(config: "Config", stack: contextlib.AsyncExitStack) -> None
         raise CommandError(ExitCode.USAGE, "hub", f"the loopback bus cannot be served: {error}") from error
     stack.push_async_callback(hub.stop)
     structlog.get_logger().info("serving the loopback bus", host=hub.host, port=hub.port)
-
-
-def _on_signals(stop: "Callable[[], None]") -> None:
-    import asyncio
-
-    loop = asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, stop)

@@ -3,6 +3,7 @@
 Ours, because the packages for it are unmaintained or need libsystemd to build, and it is a few lines.
 """
 
+import math
 import os
 import socket
 from collections.abc import Mapping
@@ -31,6 +32,7 @@ class Notifier:
         self._address = "\0" + address[1:] if address.startswith("@") else address
         self.watchdog_s = self._watchdog_s(environment)
         self._next_sign_s = 0.0
+        self._is_stopping = False
 
     @staticmethod
     def _watchdog_s(environment: Mapping[str, str]) -> float | None:
@@ -43,9 +45,16 @@ class Notifier:
         """Say that the service has started."""
         self._send("READY=1")
 
-    def stopping(self) -> None:
-        """Say that the service is ending."""
-        self._send("STOPPING=1")
+    def stopping(self, longest_s: float) -> None:
+        """Say, once, that the service is ending, and how long that may take, in s.
+
+        A manager that has been told to wait for less kills it before the axes are at rest; systemd then waits for this
+        time instead.
+        """
+        if not self._is_stopping:
+            self._is_stopping = True
+            self._send("STOPPING=1")
+            self._send(f"EXTEND_TIMEOUT_USEC={math.ceil(1e6 * longest_s)}")
 
     def status(self, text: str) -> bool:
         """Show a line to whoever asks the manager; return whether it has been told, or there is none."""

@@ -1,6 +1,6 @@
 """The table ``[service]``."""
 
-from typing import Literal
+from typing import Final, Literal
 
 from pydantic import Field
 
@@ -40,3 +40,12 @@ class ServiceSettings(Settings):
         ge=0.0,
         le=60_000.0,
     )
+
+
+_AFTER_BRAKING_S: Final = 12.0
+"""An opening of a bus that is under way is waited for, and a trip file; and the log is written."""
+
+
+def longest_end_s(settings: ServiceSettings) -> float:
+    """Return how long the service may take from the request to end until its process has ended, in s."""
+    return settings.shutdown_timeout_ms / 1e3 + _AFTER_BRAKING_S
