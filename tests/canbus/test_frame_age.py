@@ -176,3 +176,11 @@ def test_the_opener_takes_the_place_of_the_interface(monkeypatch: pytest.MonkeyP
         bus.frames = [frame(0.0)]
         assert len(link.drain()) == 1
         link.close()
+
+
+def test_how_long_a_frame_had_been_there_at_the_drain_before() -> None:
+    now_s = 0.0
+    age = FrameAge(lambda: now_s, lambda: now_s)
+    for now_s in (1.0, 1.01):  # noqa: B007 - the clock reads it
+        age.drained()
+    assert [age.waited_s(stamp_s) for stamp_s in (1.01, 1.0, 0.98, 1.2)] == pytest.approx([0.0, 0.0, 0.02, None])

@@ -116,8 +116,43 @@ def test_frames_of_the_other_kind_come_through_to_be_rejected(link: Link, peer: 
 def test_a_babbling_node_takes_no_more_than_the_bound(link: Link, peer: can.BusABC) -> None:
     for number in range(25):
         peer.send(frame(0x7F if number % 2 else 0x181, bytes((number,))))
-    assert [len(link.drain()) for _ in range(4)] == [5, 5, 3, 0]
+    read = [(len(link.drain()), link.is_behind) for _ in range(4)]
+    assert read == [(5, False), (5, True), (3, True), (0, False)]
     assert link.counters == LinkCounters(received=13, overruns=2)
+
+
+def test_a_drain_may_be_given_a_bound_of_its_own(link: Link, peer: can.BusABC) -> None:
+    for _ in range(25):
+        peer.send(frame())
+    assert [len(link.drain(most)) for most in (3, 20, None)] == [3, 20, 2]
+
+
+def test_a_link_that_is_opened_anew_is_behind_nothing(link: Link, peer: can.BusABC) -> None:
+    for _ in range(11):
+        peer.send(frame())
+    link.drain()
+    link.close()
+    link.open()
+    link.drain()
+    assert not link.is_behind
+
+
+@pytest.mark.parametrize(
+    ("settings", "tick_s", "carried", "read"),
+    [
+        ({}, 0.01, 213, 426),  # 47 bits are the shortest frame: 212.8 at 1 Mbit/s
+        ({"bitrate": 500_000}, 0.01, 107, 214),
+        ({"bitrate": 125_000}, 0.001, 3, 64),
+        ({}, 0.1, 2128, 4256),
+        ({"fd": True}, 0.01, 334, 668),
+        ({"max_frames_per_tick": 5}, 0.01, 213, 5),
+    ],
+)
+def test_what_is_read_in_a_tick_follows_the_tick_and_the_bit_rate(
+    settings: dict[str, Any], tick_s: float, carried: int, read: int
+) -> None:
+    bus = BusSettings.model_validate({"interface": "socketcan", "channel": "can0"} | settings)
+    assert (bus.frames_carried(tick_s), bus.frames_read(tick_s)) == (carried, read)
 
 
 def test_own_frames_do_not_come_back(channel: str) -> None:

@@ -367,3 +367,26 @@ def test_who_drains_the_bus_asks_the_kernel_once(monkeypatch: pytest.MonkeyPatch
             assert drained(bus) == [3]
             assert drained(bus) == []
             assert recorded.asked == 4
+
+
+def test_a_drain_that_ends_at_its_bound_does_not_let_the_next_one_take_the_bus_for_empty() -> None:
+    go_on = threading.Event()
+
+    def behaviour(connection: socket.socket) -> None:
+        greet(connection)
+        connection.sendall(b"< frame 181 1.0 01 >< frame 181 1.0 02 >")
+        assert go_on.wait(30)
+        connection.sendall(b"< frame 181 1.0 03 >")
+        assert_closed(connection)
+
+    with server(behaviour) as port:
+        link = link_to(port)
+        link.open()
+        assert isinstance(link._bus, socketcand.SocketcandBus)
+        select.select([link._bus.fileno()], [], [])
+        assert len(link.drain(2)) == 2
+        go_on.set()
+        select.select([link._bus.fileno()], [], [])
+        assert [message.data[0] for message in link.drain(2)] == [3]
+        assert link.is_behind
+        link.close()

@@ -34,7 +34,7 @@ SHARE = [
     (36, Phase.CRUISING), (36, Phase.HOMING), (26, Phase.JOGGING),
     (40, Phase.CRUISING), (41, Phase.CRUISING), (43, Phase.CRUISING), (44, Phase.CHANGEOVER),
     (45, Phase.HOLDING), (46, Phase.CRUISING), (49, Phase.SETTLING), (51, Phase.CRUISING), (52, Phase.CRUISING),
-    (53, Phase.CRUISING),
+    (53, Phase.CRUISING), (12, Phase.HOLDING),
 ]  # fmt: skip
 """One or two cells of each kind of fault; continuous integration runs them all."""
 

@@ -97,14 +97,19 @@ class World:
         return self
 
 
-def simulate(script: Callable[[World], Awaitable[_Result]], *overrides: str) -> _Result:
+def simulate(
+    script: Callable[[World], Awaitable[_Result]],
+    *overrides: str,
+    bus: BusSettings = BUS,
+    opener: Callable[[Wire], can.BusABC] = lambda wire: wire.attach("service"),
+) -> _Result:
     """Run service and drive in simulated time until the script ends; the demo's configuration with overrides."""
     loaded = load(None, overrides)
 
     async def main() -> _Result:
         loop = asyncio.get_running_loop()
         wire = Wire(loop.time)
-        service = build_service(loaded, BUS, lambda _: wire.attach("service"))
+        service = build_service(loaded, bus, lambda _: opener(wire))
         service.ticks = ticks = BusyTicks(service.ticks.period_s)
         station = service.station()
         drive = SimulatedDrive(loaded.config.simulation, station.profile, loop.time())

@@ -115,7 +115,7 @@ def test_a_lost_bus_trips_and_comes_back_disarmed(monkeypatch: pytest.MonkeyPatc
     async def script(world: World) -> None:
         await world.cruising()
 
-        def gone() -> list[can.Message]:
+        def gone(_: int | None = None) -> list[can.Message]:
             raise LinkError("bus virtual test failed while receiving: unplugged")
 
         with monkeypatch.context() as patch:

@@ -38,10 +38,10 @@ class FailingLink(Link):
             self.history.append(("close", asyncio.get_running_loop().time()))
         super().close()
 
-    def drain(self) -> list[can.Message]:
+    def drain(self, most: int | None = None) -> list[can.Message]:
         if self.fail == "drain":
             raise LinkError("bus gone. Look at the cable.")
-        return super().drain()
+        return super().drain(most)
 
     def send(self, message: can.Message) -> bool:
         if self.fail == "send":

@@ -12,7 +12,7 @@ _INPUTS = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
 
 _KNOWLEDGE = (
     "monitor", "position", "age_s", "enabled", "fault_code", *_INPUTS, "index", "boots", "_near", "_origin",
-    "_boot_counter", "_heartbeat_heard", "_ticks_since_heartbeat", "_ticks_since_foreign", "_ticks_unseen",
+    "_boot_counter", "_heartbeat_heard", "_ticks_since_heartbeat", "_ticks_since_foreign", "_ticks_unseen", "_backlog",
 )  # fmt: skip
 """What a report knows of the drive, and does not have from the settings."""
 
@@ -88,6 +88,7 @@ class DriveReport:
         self._heartbeat_heard = False
         self._ticks_since_heartbeat = 0
         self._ticks_unseen = 0
+        self._backlog: tuple[int, int] | None = None  # reads in a row that came behind others, and of how many frames
         limits = settings.limits
         travel = limits.position_maximum - limits.position_minimum + 2.0 * limits.position_overrun
         # Where the axis can't be half a round from where it was last seen, the nearest round is always the right one.
@@ -128,8 +129,12 @@ class DriveReport:
             self.monitor.reject()
             self._take_state(feedback)  # a drive that has lost its encoder may say why
             return True
-        if not self.monitor.accept(feedback.counter):
+        if not self.monitor.accept(feedback.counter, late=feedback.late):
             return True
+        if feedback.late:
+            self._take_state(feedback)
+            return True
+        self._backlog = None
         again = self.fresh
         self.fresh = True
         sure = self._near is None or 1e-3 * self._period_ms * self._ticks_unseen < self._unseen_limit_s
@@ -157,9 +162,14 @@ class DriveReport:
         if math.isfinite(position):
             self.index = self._rolled_out(position)
 
-    def take_heartbeat(self, boot_counter: int | None) -> bool:
-        """Take a heartbeat; return whether the drive has booted since the last one."""
-        self._ticks_since_heartbeat, self._heartbeat_heard = 0, True
+    def notice_backlog(self, reads: int, frames: int) -> None:
+        """Remember how many reads of the bus in a row came behind one that ended at its bound of so many frames."""
+        self._backlog = reads, frames
+
+    def take_heartbeat(self, boot_counter: int | None, *, late: bool = False) -> bool:
+        """Take a heartbeat; return whether the drive has booted since the last one. A late one is no sign of life."""
+        if not late:
+            self._ticks_since_heartbeat, self._heartbeat_heard = 0, True
         rebooted = self._boot_counter is not None and boot_counter is not None and boot_counter != self._boot_counter
         self._boot_counter = boot_counter
         self.boots += rebooted
@@ -172,6 +182,7 @@ class DriveReport:
     def forget(self) -> None:
         """Start afresh, as after the bus was lost; roll-overs are counted on from where the axis was last seen."""
         self.monitor.forget()
+        self._backlog = None
         self.position = self.enabled = self.fault_code = self.age_s = None
         self.safe_torque_off = self.positive_limit = self.negative_limit = self.home_switch = None
         self._ticks_since_heartbeat, self._heartbeat_heard = 0, False
@@ -231,7 +242,7 @@ class DriveReport:
                 TripCode.STALE_FEEDBACK,
                 (
                     f"no fresh feedback from the drive for {self._period_ms * (self.monitor.ticks_since_fresh or 0):g} "
-                    f"ms; axis.limits.stale_feedback_ms is {limits.stale_feedback_ms:g}"
+                    f"ms; axis.limits.stale_feedback_ms is {limits.stale_feedback_ms:g}{self._why_late()}"
                 ),
             )
         if (errors := self.monitor.recent_errors) >= limits.feedback_errors:
@@ -248,7 +259,10 @@ class DriveReport:
         if self.position is None or self.is_stale:
             return (
                 "no_feedback",
-                "there is no fresh feedback from the drive: check its supply, its bus and its identifiers.",
+                (
+                    "there is no fresh feedback from the drive: check its supply, its bus and its identifiers"
+                    f"{self._why_late()}."
+                ),
             )
         if self._ticks_since_foreign is not None and self._ticks_since_foreign < self._foreign_ticks:
             return (
@@ -264,6 +278,18 @@ class DriveReport:
             )
         trouble = next(self.troubles(arming=True), None)
         return None if trouble is None else (trouble[0].value, f"{trouble[1]}: remove its cause first.")
+
+    def _why_late(self) -> str:
+        """Return the end of a sentence that says what came too late to count, if anything did."""
+        late = self.monitor.late_since_fresh
+        if self._backlog is not None:
+            reads, frames = self._backlog
+            return (
+                f"; the bus brings frames faster than they are read: {reads} reads in a row came behind one that ended "
+                f"at {frames} frames (bus.max_frames_per_tick), so that the {late} feedback frames in them are of no "
+                "known age"
+            )
+        return f"; {late} feedback frames have come too late to count" if late else ""
 
     # Roll-over -------------------------------------------------------------------------------------------------------
 

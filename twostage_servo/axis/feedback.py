@@ -25,6 +25,8 @@ class FeedbackMonitor:
     ----------
     lost, doubled, reordered, rejected
         Frames missed, repeated and overtaken so far by the counter, and those that could not be used at all.
+    late, late_since_fresh
+        Frames that were new and whole, but had waited unread for too long: in all, and since the last fresh one.
     implausible
         Samples that were new and whole, but not believed.
     ticks_since_fresh
@@ -33,13 +35,14 @@ class FeedbackMonitor:
 
     __slots__ = (
         "_counter", "_errors", "_errors_now", "_modulus", "_rejected_since", "_window", "doubled",
-        "implausible", "lost", "rejected", "reordered", "ticks_since_fresh",
+        "implausible", "late", "late_since_fresh", "lost", "rejected", "reordered", "ticks_since_fresh",
     )  # fmt: skip
 
     def __init__(self, counter_modulus: int) -> None:
         self._modulus = counter_modulus
         self._counter: int | None = None
         self.lost = self.doubled = self.reordered = self.rejected = self.implausible = 0
+        self.late = self.late_since_fresh = 0
         self.ticks_since_fresh: int | None = None
         self._window: deque[int] = deque([0] * _PAST_TICKS, _PAST_TICKS)
         self._errors = 0
@@ -59,10 +62,11 @@ class FeedbackMonitor:
         """Frames lost, repeated, overtaken, rejected or not believed in the last :data:`WINDOW_TICKS` ticks and now."""
         return self._errors + self._errors_now
 
-    def accept(self, counter: int | None) -> bool:
+    def accept(self, counter: int | None, *, late: bool = False) -> bool:
         """Take a frame's counter; return whether the frame is newer than all before it.
 
-        A drive without a counter gives None, and each of its frames is taken for a new one.
+        A drive without a counter gives None, and each of its frames is taken for a new one. A late frame is counted
+        as such, and is not fresh.
         """
         if counter is not None and self._counter is not None:
             step = (counter - self._counter) % self._modulus
@@ -82,7 +86,11 @@ class FeedbackMonitor:
                 self._errors_now += max(0, step - 1 - self._rejected_since)
         self._counter = counter
         self._rejected_since = 0
-        self.ticks_since_fresh = 0
+        if late:
+            self.late += 1
+            self.late_since_fresh += 1
+        else:
+            self.ticks_since_fresh = self.late_since_fresh = 0
         return True
 
     def reject(self) -> None:
@@ -100,5 +108,6 @@ class FeedbackMonitor:
         """Start afresh, as after the bus was reopened."""
         self._counter = None
         self.ticks_since_fresh = None
+        self.late_since_fresh = 0
         self._window.extend([0] * _PAST_TICKS)
         self._errors = self._errors_now = 0

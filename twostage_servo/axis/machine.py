@@ -122,9 +122,9 @@ class Machine:
         by_the_same_rules = self.settings.homing == former.settings.homing or not self.settings.homing.required
         self.referenced = former.referenced and by_the_same_rules
 
-    def take_heartbeat(self, boot_counter: int | None) -> None:
+    def take_heartbeat(self, boot_counter: int | None, *, late: bool = False) -> None:
         """Take a heartbeat with its count of the drive's boots; a drive that has rebooted has lost its position."""
-        if self.drive.take_heartbeat(boot_counter):
+        if self.drive.take_heartbeat(boot_counter, late=late):
             self.referenced = False
             self.raise_trip(TripCode.DRIVE_REBOOTED, "the drive has rebooted while it was enabled")
 

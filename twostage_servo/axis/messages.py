@@ -31,6 +31,9 @@ class Feedback(NamedTuple):
         How long before the tick the sample was taken, in s; None: at the instant of the last command.
     unasked
         Whether the drive may have reported by itself, so that a frame before it in the same tick is the answer.
+    late
+        Whether the frame has waited, unread, for longer than it may: what it says of the drive's state still counts,
+        its position is not of now.
     """
 
     position: float
@@ -43,6 +46,7 @@ class Feedback(NamedTuple):
     home_switch: bool | None = None
     age_s: float | None = None
     unasked: bool = False
+    late: bool = False
 
 
 class Command(NamedTuple):

@@ -90,7 +90,8 @@ _QUICK, _DISABLE = Reaction.QUICK_STOP, Reaction.DISABLE
 RULES: dict[TripCode, TripRule] = {
     TripCode.STALE_FEEDBACK: TripRule(
         _QUICK,
-        "Check the drive's supply, its bus cable and its identifiers, then `reset` and `arm`.",
+        "Check the drive's supply, its bus cable and its identifiers; if the cause speaks of late frames, find what "
+        "floods the bus. Then `reset` and `arm`.",
         blind=True,
     ),
     TripCode.FEEDBACK_ERRORS: TripRule(

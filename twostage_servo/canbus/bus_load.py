@@ -1,7 +1,16 @@
-"""How much of a classic CAN bus' time cyclic frames take at most."""
+"""How much of a classic CAN bus' time cyclic frames take at most, and how many frames a bus can carry in a time."""
 
+import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Final, NamedTuple
+
+FASTEST_BIT_RATE: Final = 1e6
+"""Highest nominal bit rate of ISO 11898-2, bit/s: taken where nobody says which one a bus has."""
+_SHORTEST_CLASSIC_BITS: Final = 47
+"""No data and no stuff bit: g + 13 of :func:`frame_bits`, with 11 bits of identifier."""
+_SHORTEST_FD_BITS: Final = 30
+"""Of a CAN FD frame, the bits that have the nominal rate: 17 before the bit rate switch, 13 from the CRC delimiter to
+the end of the intermission. Its data phase, up to eight times as fast, is taken for nothing."""
 
 
 class CyclicFrame(NamedTuple):
@@ -64,3 +73,19 @@ def bus_load(frames: Iterable[CyclicFrame], bit_rate: float) -> float:
         Nominal bit rate, bit/s.
     """
     return sum(frame_bits(one.data_bytes, extended=one.extended) / one.period_s for one in frames) / bit_rate
+
+
+def most_frames(duration_s: float, bit_rate: float | None = None, *, fd: bool = False) -> int:
+    """Return the largest number of frames that a bus can carry in a time, rounded up.
+
+    Parameters
+    ----------
+    duration_s
+        The time, s.
+    bit_rate
+        Nominal bit rate, bit/s; None for the highest that there is.
+    fd
+        Whether they are CAN FD frames.
+    """
+    shortest = _SHORTEST_FD_BITS if fd else _SHORTEST_CLASSIC_BITS
+    return math.ceil(duration_s * (FASTEST_BIT_RATE if bit_rate is None else bit_rate) / shortest)

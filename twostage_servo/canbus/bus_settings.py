@@ -6,12 +6,15 @@ from typing import Any, Final
 import can
 from pydantic import Field, field_validator, model_validator
 
+from twostage_servo.canbus.bus_load import most_frames
 from twostage_servo.settings import Settings, quantity
 
 _OWN_ARGUMENTS: Final = frozenset(
     {"interface", "channel", "bitrate", "can_filters", "ignore_config", "config_context", "receive_own_messages", "fd"}
 )
 _FD: Final = frozenset({"socketcan", "virtual"})
+_LEAST_FRAMES_READ: Final = 64
+"""What adapters and networks that hand frames over in lots may bring to a short tick at once."""
 _NO_BITRATE: Final = frozenset({"socketcand", "udp_multicast", "virtual"})
 
 
@@ -38,16 +41,29 @@ class BusSettings(Settings):
     options: dict[str, bool | int | float | str] = Field(
         default_factory=dict, description="Further arguments of the python-can interface, passed as they are"
     )
-    max_frames_per_tick: int = quantity(
-        256,
+    max_frames_per_tick: int | None = quantity(
+        None,
         unit="frames",
-        description="Most frames read in one tick; a classic bus at 1 Mbit/s carries 212 in 10 ms",
+        description="Most frames read in one tick; by default twice what the bus can carry in one, 64 at least",
         ge=1,
         le=10_000,
     )
     reopen_interval_ms: float = quantity(
         1000.0, unit="ms", description="Time between two attempts to open the bus", ge=10.0, le=60_000.0
     )
+
+    def frames_carried(self, duration_s: float) -> int:
+        """Return how many frames at most this bus can carry in a time in s: at 1 Mbit/s where no bit rate is given."""
+        return most_frames(duration_s, self.bitrate, fd=self.fd)
+
+    def frames_read(self, tick_s: float) -> int:
+        """Return how many frames are read at most in a tick of so many seconds.
+
+        By default twice what the bus can carry, so that a backlog shrinks even on a bus that is full.
+        """
+        if self.max_frames_per_tick is not None:
+            return self.max_frames_per_tick
+        return max(_LEAST_FRAMES_READ, 2 * self.frames_carried(tick_s))
 
     def with_frames_of(self, other: "BusSettings") -> "BusSettings":
         """Return this bus, for the kind of frames that another one carries: classic ones or CAN FD."""

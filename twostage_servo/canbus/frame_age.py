@@ -45,19 +45,19 @@ class FrameAge:
         and no age is told.
     """
 
-    __slots__ = ("_bound_s", "_monotonic", "_monotonic_s", "_stamps", "_stamps_s")
+    __slots__ = ("_bound_s", "_elapsed_s", "_monotonic", "_monotonic_s", "_stamps", "_stamps_s")
 
     def __init__(self, stamps: Clock, monotonic: Clock) -> None:
         self._stamps = stamps
         self._monotonic = monotonic
         self._stamps_s = stamps()
         self._monotonic_s = monotonic()
-        self._bound_s = 0.0
+        self._bound_s = self._elapsed_s = 0.0
 
     def drained(self) -> None:
         """Note that frames have been drained just now."""
         stamps_s, monotonic_s = self._stamps(), self._monotonic()
-        elapsed_s = monotonic_s - self._monotonic_s
+        elapsed_s = self._elapsed_s = monotonic_s - self._monotonic_s
         step_s = stamps_s - self._stamps_s - elapsed_s
         self._bound_s = elapsed_s + _BACKLOG_S if abs(step_s) <= _STEP_S + _DRIFT * elapsed_s else -1.0
         self._stamps_s, self._monotonic_s = stamps_s, monotonic_s
@@ -66,3 +66,8 @@ class FrameAge:
         """Return the age at the latest :meth:`drained` of a frame with this time stamp; None if it makes no sense."""
         age_s = self._stamps_s - timestamp
         return max(age_s, 0.0) if -_ROUNDING_S <= age_s <= self._bound_s else None
+
+    def waited_s(self, timestamp: float) -> float | None:
+        """Return for how long a frame had been there, unread, at the drain before the latest; None without an age."""
+        age_s = self.age_s(timestamp)
+        return None if age_s is None else max(0.0, age_s - self._elapsed_s)

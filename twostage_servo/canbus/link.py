@@ -22,6 +22,7 @@ __all__ = ["BusSettings", "ControllerState", "Link", "LinkCounters", "LinkError"
 
 _log = logging.getLogger(__name__)
 
+_USUAL_TICK_S: Final = 0.01
 _ERROR_CLASSES: Final = frozenset({"socketcan", "socketcand"})
 # Of linux/can/error.h: classes, which are bits of the identifier, and bits of byte 1 in the class of the controller.
 _CONTROLLER: Final = 0x04  # CAN_ERR_CRTL
@@ -61,6 +62,9 @@ class Link:
     controller_state : {"active", "warning", "passive"}
         What the controller's latest error frame says; "active" from each opening on. Stays so where the interface hands
         on no error frames with their data: all but socketcan.
+    is_behind : bool
+        Whether the drain before the latest ended at its bound and left frames behind. What the latest one returned has
+        then waited for an unknown time. What comes behind a drain that found no more is newer than that drain.
     error_counters : tuple of two int, or None
         The controller's counters of transmit and of receive errors, as its latest error frame tells them: it is passive
         from 128 on, and bus-off from 256 transmit errors. None where none has told them since the bus was opened.
@@ -76,11 +80,14 @@ class Link:
         self.counters = LinkCounters()
         self.controller_state: ControllerState = "active"
         self.error_counters: tuple[int, int] | None = None
+        self.is_behind = False
+        self._has_left_some = False
         self._opener = opener or self._open_interface
         self._interface: NetworkInterface | None = None
         self._is_sending = False
         self._overflowed = 0
         self._age: FrameAge | None = None
+        self._most = settings.frames_read(_USUAL_TICK_S)
         self._accepted = frozenset(identifier.identifier for identifier in accepted)
         self._bus: can.BusABC | None = None
         self._thread = WorkerThread("open_bus")
@@ -120,6 +127,7 @@ class Link:
         self.error_counters = None
         self._interface = interface
         self._is_sending = False
+        self.is_behind = self._has_left_some = False
         self._overflowed = 0
         clock = stamp_clock(bus, self.settings.interface)
         self._age = FrameAge(*clock) if clock else None
@@ -177,10 +185,14 @@ class Link:
         self.counters.overflowed += overflowed - self._overflowed
         self._overflowed = overflowed
 
-    def drain(self) -> list[can.Message]:
-        """Take the frames that have arrived, oldest first, without waiting.
+    def drain(self, most: int | None = None) -> list[can.Message]:
+        """Take the frames that have arrived, oldest first, without waiting; see :attr:`is_behind`.
 
-        At most ``max_frames_per_tick`` frames are read, foreign ones included; the rest stays for the next call.
+        Parameters
+        ----------
+        most
+            How many frames are read at most, foreign ones included; the rest stays for the next call. None for what
+            the settings say of a tick of 10 ms.
 
         Raises
         ------
@@ -188,21 +200,13 @@ class Link:
             When the bus is not open, failed, or went bus-off.
         """
         bus = self._opened()
-        messages = []
+        messages: list[can.Message] = []
         counters = self.counters
+        self.is_behind, self._has_left_some = self._has_left_some, True
         try:
             if self._interface is not None:
                 self._is_sending = self._interface.is_sending()
-            for _ in range(self.settings.max_frames_per_tick):
-                message = bus.recv(0)
-                if message is None:
-                    break
-                if message.is_error_frame:
-                    self._take_error_frame(message)
-                elif message.arbitration_id in self._accepted:
-                    messages.append(message)
-            else:
-                counters.overruns += 1
+            self._read(bus, messages, self._most if most is None else most)
         except Exception as error:  # an interface may raise anything
             for _ in messages:  # what was read before is as stale as the bus is gone
                 counters.received += 1
@@ -225,6 +229,13 @@ class Link:
             believed: the wall clock, which stamps on SocketCAN, may have been set meanwhile.
         """
         return None if self._age is None else self._age.age_s(message.timestamp)
+
+    def waited_s(self, message: can.Message) -> float | None:
+        """Tell how long a message of the latest :meth:`drain` had been there, unread, at the drain before; s.
+
+        None where its age is not known.
+        """
+        return None if self._age is None else self._age.waited_s(message.timestamp)
 
     def prepare(self, identifier: Identifier, data: bytes) -> can.Message:
         """Make a frame ready, so that nothing but handing it over is left for :meth:`send`."""
@@ -274,6 +285,20 @@ class Link:
             raise self._error("failed while sending", error) from error
         self.counters.sent += 1
         return True
+
+    def _read(self, bus: can.BusABC, messages: list[can.Message], most: int) -> None:
+        for _ in range(most):
+            message = bus.recv(0)
+            if message is None:
+                self._has_left_some = False
+                return
+            if message.is_error_frame:
+                self._take_error_frame(message)
+            elif message.arbitration_id in self._accepted:
+                messages.append(message)
+        self.counters.overruns += 1
+        if isinstance(bus, SocketcandBus):
+            bus.look_again()
 
     def _opened(self) -> can.BusABC:
         if self._bus is None:

@@ -114,6 +114,10 @@ class SocketcandBus(can.BusABC):
         token = self._next_token()
         return (None if token is None else _parse(token, self.channel_info)), False
 
+    def look_again(self) -> None:
+        """Ask the kernel at the next read, whatever the last one has said: whoever drained the bus ended before."""
+        self._is_drained = False
+
     def prepare(self, msg: can.Message) -> None:
         """Make the text of a data frame ready for :meth:`send`, which takes it if it is given the same message next.
 

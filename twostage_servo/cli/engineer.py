@@ -8,6 +8,8 @@ from twostage_servo.cli.configuration import add_options, configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, print_json, print_line
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from twostage_servo.axis.design import AxisDesign
     from twostage_servo.config import Config
     from twostage_servo.service.station import Station
@@ -93,7 +95,20 @@ def _summary(config: "Config", station: "Station") -> dict[str, Any]:
         "changeover_distance": axis.design.changeover_distance(config.axis.cruise_velocity),
         "unit": config.axis.unit,
         "cruise_velocity": config.axis.cruise_velocity,
+        "notes": list(_notes(config, axis.design.period_s)),
     }
+
+
+def _notes(config: "Config", period_s: float) -> "Iterator[str]":
+    """Yield what is valid, and yet not as it should be."""
+    most, carried = config.bus.max_frames_per_tick, config.bus.frames_carried(period_s)
+    if most is not None and most < carried:
+        rate = "1 Mbit/s" if config.bus.bitrate is None else f"{config.bus.bitrate / 1e3:g} kbit/s"
+        yield (
+            f"bus.max_frames_per_tick is {most}, and a bus of {rate} can carry {carried} frames in a tick of "
+            f"{1e3 * period_s:g} ms: when it does, feedback is read late and axis {config.axis.name} trips "
+            "(stale_feedback); remove the key, its default follows the tick and the bit rate"
+        )
 
 
 def _sentence(summary: dict[str, Any]) -> str:
@@ -101,7 +116,7 @@ def _sentence(summary: dict[str, Any]) -> str:
     return (
         f"Axis {summary['axis']} on {bus['interface']} {bus['channel']}, command 0x{frames['command']:x}, feedback "
         f"0x{frames['feedback']:x}; change-over {summary['changeover_distance']:.4g} {unit} before the set-point at "
-        f"{summary['cruise_velocity']:g} {unit}/s."
+        f"{summary['cruise_velocity']:g} {unit}/s." + "".join(f"\nNote: {note}." for note in summary["notes"])
     )
 
 

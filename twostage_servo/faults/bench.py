@@ -226,8 +226,9 @@ def bench_overrides(config: Config, port: int, folder: Path) -> list[str]:
         "service.trip_folder": json.dumps(str(folder / "trips")),
         "service.log_level": "info",
     }
+    most = config.bus.max_frames_per_tick
     table = (
         f'bus={{ interface = "socketcand", channel = "can0", options = {{ host = "127.0.0.1", port = {port} }}, '
-        f"max_frames_per_tick = {config.bus.max_frames_per_tick}, reopen_interval_ms = 100.0 }}"
+        f"{'' if most is None else f'max_frames_per_tick = {most}, '}reopen_interval_ms = 100.0 }}"
     )
     return [table, *(f"{key}={value}" for key, value in widened.items())]

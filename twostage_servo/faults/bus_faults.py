@@ -1,6 +1,7 @@
 """Injections on the bus: what happens to frames on their way, and to the controllers that send them."""
 
 import errno
+import math
 from collections.abc import Callable, Iterable
 from random import Random
 
@@ -132,6 +133,28 @@ def babble(world: World, random: Random) -> None:
                 node.inject(can.Message(arbitration_id=random.choice(others), is_extended_id=False, data=data))
 
     world.service.publishers.append(after_each_tick)
+
+
+def back_up(world: World, _: Random) -> None:
+    """Let a quarter more frames of another identifier arrive than a tick reads, for half a second; none is lost.
+
+    What the drive sends waits behind them, longer with each tick.
+    """
+    node, profile, link = world.wire.node(SERVICE), world.station.profile, world.station.port.link
+    node.queue_length = 1_000_000
+    known = {one.identifier for one in (*profile.controller_identifiers, profile.command_id)}
+    foreign = next(number for number in range(0x7FF, 0, -1) if number not in known)
+    frame = can.Message(arbitration_id=foreign, is_extended_id=False, is_fd=link.settings.fd, data=bytes(8))
+    frames = math.ceil(1.25 * link.settings.frames_read(world.period_s))
+    end_s = world.now_s + 0.5
+
+    def bring(_: object) -> None:
+        if world.now_s < end_s:
+            for _frame in range(frames):
+                node.inject(frame)
+
+    bring(None)
+    world.service.publishers.append(bring)
 
 
 def foreign_command(world: World, _: Random) -> None:

@@ -244,6 +244,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(11, "interface down, or unplugged", bus_faults.interface_down, DISABLED, _command_timeout,
           check=came_back_disarmed, idle=TOLERATED, phases=EVERYWHERE),
     Fault(12, "a node babbles", bus_faults.babble, TOLERATED, _unnoticed),
+    Fault(12, "backlog: more frames than a tick reads", bus_faults.back_up, QUICK, _stale, phases=EVERYWHERE),
     Fault(13, "another node commands the drive", bus_faults.foreign_command, DISABLED, _at_once, idle=REFUSED,
           phases=EVERYWHERE),
     Fault(14, "wrong length, kind and identifier", bus_faults.malformed, TOLERATED, _bridged, check=rejected_some),

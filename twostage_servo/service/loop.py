@@ -164,7 +164,7 @@ class ServoService:
         for station in self.stations:
             station.begin_tick(tick)
         for port in self.ports:
-            port.read(tick.index)
+            port.read(tick)
 
     def update(self) -> None:
         """Let each axis decide on its effort, and all of them react if one has tripped; make the commands ready."""

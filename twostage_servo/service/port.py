@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import can
 import structlog
@@ -12,6 +12,10 @@ from twostage_servo.ticks import Tick
 
 if TYPE_CHECKING:
     from twostage_servo.service.station import Station
+
+_MOST_MISSED_MADE_UP_FOR: Final = 10
+"""Missed ticks whose frames are read in the tick after them. Their reading takes a tenth of the time that was missed on
+a bus that is full; what is left then does not count as fresh."""
 
 FrameObserver = Callable[[int, str, int, bytes], None]
 
@@ -52,7 +56,9 @@ class Port:
         }
         self._opening: asyncio.Task[None] | None = None
         self._rejected = 0
-        self._overflowed = 0
+        self._overflowed = self._overruns = 0
+        self._frames_a_tick = link.settings.frames_read(period_s)
+        self._reads_behind = 0
         self._next_opening_s = 0.0
         self._ticks_a_report = max(1, round(1.0 / period_s))
         self._next_report = 0
@@ -72,18 +78,26 @@ class Port:
             await asyncio.gather(self._opening, return_exceptions=True)
         self.link.close()
 
-    def read(self, tick_index: int) -> None:
-        """Take what has arrived to the axes that it is for."""
+    def read(self, tick: Tick) -> None:
+        """Take what has arrived to the axes that it is for.
+
+        After missed ticks as much more is read as they would have; up to a bound, since that delays this one.
+        """
         if self.error is not None:
             return
+        most = self._frames_a_tick * (1 + min(tick.missed, _MOST_MISSED_MADE_UP_FOR))
         try:
-            messages = self.link.drain()
+            messages = self.link.drain(most)
         except LinkError as error:
             self._lose(error)
             return
+        self._reads_behind = self._reads_behind + 1 if self.link.is_behind else 0
+        if self._reads_behind:
+            for station in self.stations:
+                station.axis.drive.notice_backlog(self._reads_behind, most)
         for message in messages:
             for observe in self.observers:
-                observe(tick_index, "received", message.arbitration_id, bytes(message.data))
+                observe(tick.index, "received", message.arbitration_id, bytes(message.data))
             self._takers[message.arbitration_id].take(message)
 
     def send(self, tick_index: int, message: can.Message) -> bool | None:
@@ -118,7 +132,7 @@ class Port:
                 link.check()
             except LinkError as error:
                 self._lose(error)
-        rejected, overflowed = link.counters.rejected, link.counters.overflowed
+        rejected, overflowed, overruns = link.counters.rejected, link.counters.overflowed, link.counters.overruns
         if rejected != self._rejected:
             self._log.warning("frames rejected", tick=tick.index, new=rejected - self._rejected, total=rejected)
             self._rejected = rejected
@@ -126,6 +140,12 @@ class Port:
             new = overflowed - self._overflowed
             self._log.warning("frames lost in the kernel, unread", tick=tick.index, new=new, total=overflowed)
             self._overflowed = overflowed
+
+        if overruns != self._overruns:
+            new = overruns - self._overruns
+            text = "the bus brings more frames than a tick reads: what comes behind them does not count as fresh"
+            self._log.warning(text, tick=tick.index, new=new, total=overruns, frames_a_tick=self._frames_a_tick)
+            self._overruns = overruns
 
     def _lose(self, error: LinkError) -> None:
         self.error = str(error)

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis
     from twostage_servo.canbus.link import Link
 
+_LATE_PERIODS = 0.5
+"""Periods for which a frame may have been there, unread, when the bus was drained before."""
 _PATIENCE = 1.02
 """Periods without a command after which the drive may have reported by itself."""
 
@@ -77,11 +79,11 @@ class Receiver:
         profile = self._profile
         try:
             if profile.is_feedback(message):
-                self._take(profile.decode_feedback(message), link.age_s(message), axis)
+                self._take(profile.decode_feedback(message), message, axis, link)
             elif profile.is_heartbeat(message):
                 heartbeat = profile.decode_heartbeat(message)
                 self.drive_state = heartbeat.state
-                axis.take_heartbeat(heartbeat.boot_counter)
+                axis.take_heartbeat(heartbeat.boot_counter, late=self._is_late(message, link))
             elif profile.is_index(message):
                 axis.drive.take_index(profile.decode_index(message).position)
             elif profile.is_command(message):
@@ -91,7 +93,7 @@ class Receiver:
         except FrameRejected as rejection:
             link.counters.count_rejection(rejection.reason)
             if isinstance(rejection, PositionRejected):
-                self._take(rejection.feedback, link.age_s(message), axis)
+                self._take(rejection.feedback, message, axis, link)
             elif profile.is_feedback(message):
                 axis.drive.monitor.reject()
             self._log.debug("frame rejected", reason=rejection.reason, text=rejection)
@@ -100,7 +102,13 @@ class Receiver:
         """Start afresh, as after the bus was lost."""
         self.drive_state = None
 
-    def _take(self, feedback: Reported, age_s: float | None, axis: "Axis") -> None:
+    def _is_late(self, message: can.Message, link: "Link") -> bool:
+        """Whether a frame has waited behind others, or by its date, so that it does not say how things are now."""
+        waited_s = link.waited_s(message)
+        return link.is_behind or (waited_s is not None and waited_s > _LATE_PERIODS * self._period_s)
+
+    def _take(self, feedback: Reported, message: can.Message, axis: "Axis", link: "Link") -> None:
+        age_s = link.age_s(message)
         if age_s is not None:
             self.frame_age.add(age_s)
             self.arrived_s = asyncio.get_running_loop().time() - age_s
@@ -121,6 +129,7 @@ class Receiver:
                 feedback.home_switch,
                 self._dated_age_s(age_s) if self._dated else self.sample_age_s,
                 unasked=self._late and not self._dated,
+                late=self._is_late(message, link),
             )
         )
 

@@ -89,6 +89,7 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "errors_by_kind": dict(counters.errors_by_kind),
             "overflowed": counters.overflowed,
             "overruns": counters.overruns,
+            "late": axis.drive.monitor.late,
             "lost": axis.drive.monitor.lost,
             "doubled": axis.drive.monitor.doubled,
             "reordered": axis.drive.monitor.reordered,

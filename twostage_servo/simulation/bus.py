@@ -13,7 +13,7 @@ Disturbance: TypeAlias = Callable[[str, can.Message, float], Iterable[tuple[floa
 """``disturb(sender, message, now in s)`` gives what arrives of a frame: pairs of delay in s and message."""
 
 _QUEUE_LENGTH: Final = 1024
-"""Of each node; the frames of 50 ms on a classic bus at 1 Mbit/s."""
+"""Of each node, unless it is told another; the frames of 50 ms on a classic bus at 1 Mbit/s."""
 _ROUNDING_S: Final = 1e-9
 """A frame whose delay ends just now has arrived, whatever the sum of the two rounds to."""
 
@@ -85,6 +85,8 @@ class WireNode:
         Whether a bus is open at this node.
     dropped : int
         Oldest frames lost because nobody read them and the queue was full.
+    queue_length : int
+        Frames that wait to be read at most.
     """
 
     def __init__(self, wire: Wire) -> None:
@@ -92,6 +94,7 @@ class WireNode:
         self.receive_error: BaseException | None = None
         self.is_attached = False
         self.dropped = 0
+        self.queue_length = _QUEUE_LENGTH
         self._wire = wire
         self._down = False
         self._queue: list[tuple[float, int, can.Message]] = []  # a heap: (time of arrival, number, message)
@@ -117,7 +120,7 @@ class WireNode:
             return
         self._frames_queued += 1
         heapq.heappush(self._queue, (arriving.timestamp, self._frames_queued, arriving))
-        if len(self._queue) > _QUEUE_LENGTH:
+        if len(self._queue) > self.queue_length:
             heapq.heappop(self._queue)
             self.dropped += 1
 
