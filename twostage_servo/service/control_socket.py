@@ -219,7 +219,8 @@ class ControlSocket:
                 return request
             if connection.too_long:
                 return None
-            await connection.taken()
+            if not connection.ended:  # at the end it is not waited for that long
+                await connection.taken()
             await asyncio.sleep(0)
 
     def _read(self, connection: Connection) -> Request | None:

@@ -20,7 +20,8 @@ def no_time_asleep() -> float:
 
 def time_asleep_s() -> float:
     """Return how long the machine has been suspended since it started, s, which its monotonic clock does not count."""
-    return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
+    awake_s = time.clock_gettime(time.CLOCK_MONOTONIC)  # read first: the difference is never too small
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - awake_s
 
 
 class RequestAge:

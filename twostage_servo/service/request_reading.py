@@ -82,7 +82,7 @@ def _problems(fields: dict[str, Any], model: "type[AxisRequest]") -> Iterator[st
     """Yield what a request of any length may have wrong any number of times; the rest is the model's."""
     for name, value in fields.items():
         if name not in model.model_fields:
-            yield f"{_short(name)}: no such key; there are {', '.join(model.model_fields)}"
+            yield f"{_short(name)}: no such key (there are {', '.join(model.model_fields)})"
         elif value is None:
             yield f"{name} is null: give it a value, or leave it out"
     positions = fields.get("positions")

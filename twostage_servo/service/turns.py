@@ -89,6 +89,7 @@ class Turns:
         queue = self._queues[rank]
         if not self._ended and (queue or self._called or not self._has_time(rank)):
             await self._stand_in(queue)
+        self._called = True
         clock = asyncio.get_running_loop().time
         begun_s = clock() if self._given_s is None else self._given_s
         self._given_s = None

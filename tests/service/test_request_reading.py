@@ -1,0 +1,171 @@
+"""A line of any bytes is judged in bounded time, and is as urgent as what it asks for."""
+
+import asyncio
+import contextlib
+import json
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.service.operators import connect, serve
+from tests.service.rig import World
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.request_reading import LONGEST_LINE, BadRequestError, longest_line, parse_request, rank_of
+from twostage_servo.service.requests import DisarmRequest, MoveRequest, Request, StopRequest
+from twostage_servo.service.turns import Rank
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+keys = st.sampled_from(["op", "axis", "position", "positions", "velocity", "every", "quick", "by"]) | st.text(
+    max_size=5
+)
+objects = st.dictionaries(keys, values, max_size=8)
+
+
+def heavy(kind: str, size: int) -> bytes:
+    """Return the worst that fits into so many bytes."""
+    if kind == "positions":
+        inner = ",".join(f'"{number:x}":""' for number in range(size))
+        text = f'{{"op":"move","positions":{{{inner}'
+    elif kind == "unknown keys":
+        text = '{"op":"stop",' + ",".join(f'"k{number}":1' for number in range(size))
+    elif kind == "nulls":
+        text = '{"op":"stop",' + ",".join(f'"k{number}":null' for number in range(size))
+    else:
+        text = "[" * size
+    return text.encode()[: size - 2].rpartition(b",")[0] + (b"}}" if kind == "positions" else b"}")
+
+
+def calls_of(line: bytes) -> int:
+    """Return how many functions of Python are called to find out that a line is no request."""
+    calls = 0
+
+    def count(_: Any, event: str, __: Any) -> None:
+        nonlocal calls
+        calls += event == "call"
+
+    sys.setprofile(count)
+    try:
+        with pytest.raises(BadRequestError):
+            parse_request(line)
+    finally:
+        sys.setprofile(None)
+    return calls
+
+
+def judged(line: bytes) -> tuple[Request | None, str]:
+    try:
+        return parse_request(line), ""
+    except BadRequestError as error:
+        return None, str(error)
+
+
+@pytest.mark.parametrize("kind", ["positions", "unknown keys", "nulls"])
+def test_what_is_wrong_is_told_up_to_the_fifth_problem_and_no_more_work_is_done(kind: str) -> None:
+    with pytest.raises(BadRequestError) as caught:
+        parse_request(heavy(kind, LONGEST_LINE))
+    assert 1 <= len(str(caught.value).split("; ")) <= 5
+    assert len(str(caught.value)) < 1000
+    assert calls_of(heavy(kind, LONGEST_LINE)) <= calls_of(heavy(kind, 200)) + 5
+    assert calls_of(heavy(kind, 65_000)) <= calls_of(heavy(kind, 200)) + 5
+
+
+@given(request=objects, op=st.sampled_from(["move", "stop", "watch", "home", "status"]))
+def test_any_object_is_a_request_or_has_one_to_five_problems(request: dict[str, Any], op: str) -> None:
+    for given_one in (request, request | {"op": op}):
+        parsed, said = judged(json.dumps(given_one).encode())
+        assert len(said) < 2000
+        if parsed is not None:
+            assert parsed.op == given_one["op"]
+            assert set(parsed.model_dump(exclude_none=True)) >= set(given_one)
+
+
+@given(line=st.binary(max_size=300))
+def test_any_bytes_are_none_or_a_request(line: bytes) -> None:
+    with contextlib.suppress(BadRequestError):
+        parse_request(line)
+
+
+@pytest.mark.parametrize("depth", [10, 1000, 4000, 100_000])
+def test_what_is_nested_deeply_is_refused(depth: int) -> None:
+    for opening in (b"[", b'{"op":'):
+        with pytest.raises(BadRequestError):
+            parse_request(opening * depth)
+
+
+@pytest.mark.parametrize(
+    ("line", "rank"),
+    [
+        (b'{"op":"stop"}', Rank.URGENT),
+        (b'{"quick":true,"op":"stop"}', Rank.URGENT),
+        (b'{"op":"disarm","axis":"x"}', Rank.URGENT),
+        (b'{"op":"\\u0073top"}', Rank.URGENT),
+        (b'{"op":"status","axis":"stop"}', Rank.REQUEST),
+        (b'{"op":"move","positions":{"stop":1}}', Rank.REQUEST),
+        (b'{"op":"disarm","op":"status"}', Rank.REQUEST),
+    ],
+)
+def test_a_request_is_as_urgent_as_what_it_asks_for(line: bytes, rank: Rank) -> None:
+    request = parse_request(line)
+    assert rank_of(request) is rank
+    assert isinstance(request, StopRequest | DisarmRequest) == (rank is Rank.URGENT)
+
+
+def test_lines_that_only_speak_of_a_stop_take_no_urgent_turn(tmp_path: Path) -> None:
+    ranks: list[Rank] = []
+
+    async def script(world: World, _: ControlSocket) -> None:
+        turn = world.service.turns.turn
+
+        @contextlib.asynccontextmanager
+        async def noted(rank: Rank) -> AsyncIterator[None]:
+            ranks.append(rank)
+            async with turn(rank):
+                yield
+
+        operator = await connect(tmp_path / "s")
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(world.service.turns, "turn", noted)
+            assert await operator.refused(op="status", axis="stop") == "which_axis"
+            assert (await operator.send(b'{"op":"stop","k":1}'))["error"]["code"] == "bad_request"
+            assert (await operator.send(b'"stop" "disarm"'))["error"]["code"] == "bad_request"
+        assert Rank.URGENT not in ranks
+        assert Rank.READING in ranks
+
+    serve(tmp_path / "s", script)
+
+
+def test_a_move_of_all_axes_fits_however_long_their_names() -> None:
+    assert longest_line(["x", "y"]) == LONGEST_LINE
+    names = [f"{number:02}" + "漢" * 62 for number in range(64)]
+    line = json.dumps({"op": "move", "positions": dict.fromkeys(names, -123456.123456789), "velocity": 100.0}).encode()
+    assert LONGEST_LINE < len(line) < longest_line(names)
+    request = parse_request(line)
+    assert isinstance(request, MoveRequest)
+    assert request.positions is not None
+    assert len(request.positions) == 64
+
+
+def test_what_an_answer_repeats_is_short(tmp_path: Path) -> None:
+    async def script(_: World, __: ControlSocket) -> None:
+        operator = await connect(tmp_path / "s")
+        for request in (
+            {"op": "x" * 3000},
+            {"op": "stop", "k" * 3000: 1},
+            {"op": "move", "positions": {"n" * 3000: ""}},
+        ):
+            answer = await operator.ask(**request)
+            assert answer["error"]["code"] == "bad_request"
+            assert len(answer["error"]["message"]) < 300
+        assert (await operator.ask(op="status"))["ok"]
+        await asyncio.sleep(0)
+
+    serve(tmp_path / "s", script)

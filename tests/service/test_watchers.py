@@ -1,0 +1,135 @@
+"""Snapshots of many axes for many watchers: made once a tick, shared, and never while a tick is under way."""
+
+import itertools
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.service.operators import Operator, connect, serve
+from tests.service.rig import World
+from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.station import Station
+from twostage_servo.service.status_lines import StatusLines
+
+NAMES = ["a", "b", "c", "d"]
+WATCHERS = 63
+TICKS = 20
+
+
+def four_axes(folder: Path) -> Path:
+    pages = {name: axis_page(name, "can0", offset=number) for number, name in enumerate(NAMES)}
+    return machine_file(folder, pages)
+
+
+class Work:
+    """Counts the reports of axes that are made, and those of them while a tick is under way."""
+
+    def __init__(self, plant: Plant, patch: pytest.MonkeyPatch) -> None:
+        self.made = self.within_ticks = 0
+        self._in_tick = False
+        report, publish = Station.report, plant.service.publish
+
+        def counted(station: Station) -> dict[str, Any]:
+            self.made += 1
+            self.within_ticks += self._in_tick
+            return report(station)
+
+        def published(tick: Any) -> None:
+            self._in_tick = True
+            publish(tick)
+            self._in_tick = False
+
+        patch.setattr(Station, "report", counted)
+        patch.setattr(plant.service, "publish", published)
+
+
+def test_what_many_watchers_see_of_many_axes_is_made_once_a_tick_and_outside_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "s"
+
+    async def script(plant: Plant) -> None:
+        control = ControlSocket(path, plant.service)
+        plant.service.publishers.append(lambda tick: control.publish(tick.index))
+        await control.start()
+        watchers: list[Operator] = []
+        for number in range(WATCHERS):
+            watcher = await connect(path)
+            axis = {} if number % 3 else {"axis": NAMES[number % len(NAMES)]}
+            await watcher.done(op="watch", every=1, **axis)
+            watchers.append(watcher)
+        work, count = Work(plant, monkeypatch), plant.service.statistics.count
+        seen = [[await watcher.answer() for _ in range(TICKS)] for watcher in watchers]
+        ticks = plant.service.statistics.count - count
+        assert work.within_ticks == 0
+        assert work.made <= len(NAMES) * (ticks + 1)
+        for number, snapshots in enumerate(seen):
+            counts = [snapshot["ticks"]["count"] for snapshot in snapshots]
+            assert {after - before for before, after in itertools.pairwise(counts)} <= {1}
+            if number % 3:
+                assert set(snapshots[0]["axes"]) == set(NAMES)
+            else:
+                assert snapshots[0]["axis"]["name"] == NAMES[number % len(NAMES)]
+        await control.stop()
+        for watcher in watchers:
+            watcher.die()
+
+    operate(four_axes(tmp_path), script)
+
+
+def test_a_line_has_what_the_snapshot_has(tmp_path: Path) -> None:
+    async def script(plant: Plant) -> None:
+        status = StatusLines(plant.service)
+        for name in (None, *NAMES):
+            line = json.loads(b"".join(status.line(name, b'{"ok":true,')))
+            whole = json.loads(json.dumps(plant.service.snapshot(name)))
+            assert line == {"ok": True} | whole
+        assert status.made == len(NAMES)
+        status.forget()
+        list(status.line(None, b"{"))
+        assert status.made == 2 * len(NAMES)
+
+    operate(four_axes(tmp_path), script)
+
+
+def test_a_flood_of_stops_makes_one_report_a_tick_and_a_command_is_seen_in_its_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "s"
+
+    async def script(world: World, control: ControlSocket) -> None:
+        operator, other = await connect(path), await connect(path)
+        await operator.done(op="arm")
+        await world.until(lambda: world.axis.ready_to_arm or world.state() == "holding")
+        await world.seconds(0.5)
+        assert (await operator.done(op="move", position=100.0))["move"]["outcome"] == "moving"
+        assert (await other.done(op="stop"))["axis"]["state"] == "stopping"
+        assert (await other.done(op="stop", quick=True))["axis"]["state"] == "quick_stopping"
+        await world.seconds(1.0)
+        made, count = control._status.made, world.service.statistics.count
+        other.writer.write(b'{"op": "stop"}\n' * 500)
+        for _ in range(500):
+            await other.answer()
+        assert control._status.made - made <= world.service.statistics.count - count + 1
+
+    serve(path, script)
+
+
+def test_a_defect_in_what_is_shown_ends_the_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "s"
+
+    async def script(world: World, _: ControlSocket) -> None:
+        watcher = await connect(path)
+        await watcher.done(op="watch", every=1)
+
+        def defect(_: Station) -> dict[str, Any]:
+            raise ZeroDivisionError("a defect")
+
+        monkeypatch.setattr(Station, "report", defect)
+        await world.seconds(0.2)
+        assert isinstance(world.service.failure, ZeroDivisionError)
+
+    serve(path, script)
