@@ -204,18 +204,20 @@ def test_opening_in_a_thread_survives_cancellation(profile: DriveProfile) -> Non
                 await opening
                 func(*args)
 
-            return asyncio.ensure_future(later())
+            nonlocal working
+            working = asyncio.ensure_future(later())
+            return asyncio.shield(working)
 
+        working: asyncio.Future[None] = loop.create_future()
         loop.run_in_executor = slow  # type: ignore[method-assign, assignment]
         drive = SimulatedDrive(SimulationSettings(), profile, loop.time())
         task = asyncio.create_task(DriveNode(drive, link, 0.001).run())
         await asyncio.sleep(0.01)
         task.cancel()
         await asyncio.sleep(0.01)
-        assert not task.done()
+        assert task.cancelled()
         opening.set_result(None)
-        with contextlib.suppress(asyncio.CancelledError):
-            await task
+        await working
         loop.run_in_executor = original  # type: ignore[method-assign]
         return link.is_open
 

@@ -13,6 +13,9 @@ IMPLAUSIBLE_SAMPLES = 2
 _LONG_GAP_TICKS = 2
 """Missed ticks after which the model is tested afresh: what they hid would count as evidence against it."""
 
+_LONGEST_PREDICTION_MS = 1000.0
+"""Time for which missed ticks are predicted one by one: a tick after a stall of hours must not take seconds."""
+
 _FADING = 0.998
 """Share that is left a tick later of the speed by which the model is judged: a time constant of 5 s."""
 
@@ -59,6 +62,8 @@ class Motion:
         self.model_test = design.build_model_test()
         self.unchanged_effort = 0.0
         self._gap = SampleGap(design)
+        limits = design.settings.limits
+        self._longest_prediction = max(limits.missed_ticks, design.ticks(_LONGEST_PREDICTION_MS))
         self._drive = drive
         self._period_s = design.period_s
         self._limits = design.settings.limits
@@ -122,8 +127,12 @@ class Motion:
             self._path.clear()
 
     def skip(self, periods: int) -> None:
-        """Account for ticks that were missed."""
-        law = self.law
+        """Account for ticks that were missed.
+
+        What a long stall has made of the axis nobody can predict: beyond a second, and what the limits allow, the
+        estimate stays as it is then.
+        """
+        law, periods = self.law, min(periods, self._longest_prediction)
         self._path = [law.observer.position]
         self._skipped += periods
         for _ in range(periods):
@@ -269,7 +278,7 @@ class Motion:
         lag = drive.age_s / self._period_s - 1.0
         if not self._missed or lag <= 0.5:
             return drive.position + self.law.observer.velocity * self._period_s * lag
-        self._lag_periods = min(round(lag), self._missed)
+        self._lag_periods = min(round(lag), len(self._path) - 1)
         return drive.position + self.law.observer.position - self._estimate_before(lag)
 
     def _estimate_before(self, periods: float) -> float:

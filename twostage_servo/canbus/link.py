@@ -2,6 +2,7 @@
 
 import asyncio
 import logging
+import threading
 import traceback
 from collections.abc import Callable, Iterable
 from typing import Any, Final, Literal
@@ -134,9 +135,10 @@ class Link:
         self._bus = bus
 
     async def open_in_thread(self) -> None:
-        """Open the bus without holding up the running loop; one that is cancelled waits until the attempt has ended.
+        """Open the bus without holding up the running loop. Does nothing when it is open already.
 
-        Otherwise the thread would open the bus after its user has closed it.
+        An attempt that is cancelled is given up at once, since an interface of python-can may take minutes: what comes
+        of it is shut down by the thread.
 
         Raises
         ------
@@ -145,14 +147,15 @@ class Link:
         """
         # A thread of its own, from the first opening on: a bus that is lost later on has to be opened again on a host
         # that has no thread left, and neither another bus nor a disk that hangs may stand in the way.
+        attempt = _Attempt(self)
         try:
-            opening = asyncio.get_running_loop().run_in_executor(self._thread, self.open)
+            opening = asyncio.get_running_loop().run_in_executor(self._thread, attempt.run)
         except (RuntimeError, MemoryError) as error:
             raise self._error("cannot be opened", error) from error
         try:
-            await asyncio.shield(opening)
+            await opening
         except asyncio.CancelledError:
-            await asyncio.gather(opening, return_exceptions=True)
+            attempt.give_up()
             raise
         finally:
             del opening  # it holds the error, whose traceback holds this frame
@@ -162,6 +165,25 @@ class Link:
         bus, self._bus, self._interface = self._bus, None, None
         if bus is not None:
             self._shut_down(bus)
+
+    def let_go(self) -> "asyncio.Future[None] | None":
+        """Give up the bus, for a running loop that must not wait: an interface of python-can may block in its shutdown.
+
+        Returns
+        -------
+        asyncio.Future or None
+            Done when the thread has shut the bus down; None when that is done already. An opening comes after it.
+        """
+        bus, self._bus, self._interface = self._bus, None, None
+        if bus is None:
+            return None
+        if not isinstance(bus, SocketcanBus | SocketcandBus):  # which close a socket, and never wait
+            try:
+                return asyncio.get_running_loop().run_in_executor(self._thread, self._shut_down, bus)
+            except (RuntimeError, MemoryError) as error:
+                _log.warning("%s is closed without a thread: %r", self._name, error)
+        self._shut_down(bus)
+        return None
 
     def check(self) -> None:
         """See whether the bus can still carry frames, and count what the kernel has thrown away; for now and then.
@@ -360,3 +382,34 @@ class Link:
 
     def _error(self, what: str, error: Exception) -> LinkError:
         return link_error(self._name, self.settings, what, error)
+
+
+class _Attempt:
+    """An opening in another thread, which whoever waits for it may give up.
+
+    Parameters
+    ----------
+    link
+        What is opened.
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._lock = threading.Lock()
+        self._is_done = False
+        self._is_given_up = False
+
+    def run(self) -> None:
+        """Open the bus, in the thread; close it again if nobody waits for it any more."""
+        self._link.open()
+        with self._lock:
+            self._is_done = True
+            if self._is_given_up:
+                self._link.close()
+
+    def give_up(self) -> None:
+        """Let the thread close what comes of it; what has come already is closed here."""
+        with self._lock:
+            self._is_given_up = True
+            if self._is_done:
+                self._link.close()

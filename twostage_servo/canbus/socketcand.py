@@ -10,11 +10,13 @@ the frame.
 import contextlib
 import select
 import socket
+import time
 from typing import Any, Final
 
 import can
 
 _CONNECT_TIMEOUT_S: Final = 1.0
+"""For the whole opening: a server that greets byte by byte has no more time than one that says nothing."""
 _UNACKNOWLEDGED_LIMIT_MS: Final = 500
 """Longest that sent bytes may wait for an acknowledgement. A cut cable shows up here, and old commands die with it."""
 _SEND_BUFFER_BYTES: Final = 32768
@@ -58,9 +60,10 @@ class SocketcandBus(can.BusABC):
         self._received = bytearray()
         self._is_drained = False
         self._prepared: dict[int, tuple[can.Message, bytes, bool]] = {}
+        deadline_s = time.monotonic() + _CONNECT_TIMEOUT_S
         self._socket = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT_S)
         try:
-            self._greet(channel)
+            self._greet(channel, deadline_s)
             self._socket.setblocking(False)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
             self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_LIMIT_MS)
@@ -70,18 +73,23 @@ class SocketcandBus(can.BusABC):
             raise
         super().__init__(channel=channel, can_filters=can_filters)
 
-    def _greet(self, channel: str) -> None:
-        self._expect("< hi >")
+    def _greet(self, channel: str, deadline_s: float) -> None:
+        self._expect("< hi >", deadline_s)
         for command in (f"< open {channel} >", "< rawmode >"):
             self._socket.sendall(command.encode("ascii"))
-            self._expect("< ok >")
+            self._expect("< ok >", deadline_s)
 
-    def _expect(self, answer: str) -> None:
+    def _expect(self, answer: str, deadline_s: float) -> None:
         try:
             while (token := self._next_token()) is None:
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0.0:
+                    raise TimeoutError  # noqa: TRY301
+                self._socket.settimeout(left_s)
                 self._append(self._socket.recv(256))
         except TimeoutError as error:
-            raise can.CanInitializationError(f"expected {answer}, but no answer came") from error
+            text = f"expected {answer}, but no answer came within {_CONNECT_TIMEOUT_S:g} s of the connection's opening"
+            raise can.CanInitializationError(text) from error
         if token != answer:
             raise can.CanInitializationError(f"expected {answer}, the answer was {token!r}")
 

@@ -138,8 +138,8 @@ class DisturbanceObserver:
         In n periods the plant goes ``a12 v0 (1 + a22 + ... + a22^(n-1))`` and keeps ``a22^n v0``; from there the model
         gives position and velocity a period after the second sample.
         """
-        way = self._a12 * sum(self._a22**period for period in range(periods))
-        velocity = self._a22**periods * (sample - before) / way
+        kept = self._a22**periods
+        velocity = kept * (sample - before) * (1.0 - self._a22) / (self._a12 * (1.0 - kept))
         self.reset(sample + self._a12 * velocity)
         self.velocity = self._a22 * velocity
 

@@ -138,8 +138,7 @@ class ServoService:
                     for station in self.stations:
                         every_drive.callback(station.disable_drive, tick_index)
             finally:
-                for port in self.ports:
-                    await port.close()
+                await asyncio.gather(*(port.close() for port in self.ports))
         if self.failure is not None:
             raise self.failure
 

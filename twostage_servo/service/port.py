@@ -1,6 +1,7 @@
 """A bus as the service runs it: opened again after it was lost, and read for all axes on it."""
 
 import asyncio
+import errno
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
 _MOST_MISSED_MADE_UP_FOR: Final = 10
 """Missed ticks whose frames are read in the tick after them. Their reading takes a tenth of the time that was missed on
 a bus that is full; what is left then does not count as fresh."""
+
+_LONGEST_CLOSING_S: Final = 1.0
 
 FrameObserver = Callable[[int, str, int, bytes], None]
 
@@ -59,6 +62,7 @@ class Port:
         self._overflowed = self._overruns = 0
         self._frames_a_tick = link.settings.frames_read(period_s)
         self._reads_behind = 0
+        self._lacked_carrier = False
         self._next_opening_s = 0.0
         self._ticks_a_report = max(1, round(1.0 / period_s))
         self._next_report = 0
@@ -72,11 +76,13 @@ class Port:
         self._opening = asyncio.create_task(self._keep_trying_to_open())
 
     async def close(self) -> None:
-        """Close the bus for good."""
+        """Close the bus for good; one that does not open or close just now is not waited for, or for a moment only."""
         if self._opening is not None:
             self._opening.cancel()
             await asyncio.gather(self._opening, return_exceptions=True)
-        self.link.close()
+        closing = self.link.let_go()
+        if closing is not None and not (await asyncio.wait([closing], timeout=_LONGEST_CLOSING_S))[0]:
+            self._log.warning("the bus does not close", waited_s=_LONGEST_CLOSING_S)
 
     def read(self, tick: Tick) -> None:
         """Take what has arrived to the axes that it is for.
@@ -131,7 +137,9 @@ class Port:
             try:
                 link.check()
             except LinkError as error:
-                self._lose(error)
+                self._lose_unless_it_goes_down(error, tick)
+            else:
+                self._lacked_carrier = False
         rejected, overflowed, overruns = link.counters.rejected, link.counters.overflowed, link.counters.overruns
         if rejected != self._rejected:
             self._log.warning("frames rejected", tick=tick.index, new=rejected - self._rejected, total=rejected)
@@ -140,19 +148,27 @@ class Port:
             new = overflowed - self._overflowed
             self._log.warning("frames lost in the kernel, unread", tick=tick.index, new=new, total=overflowed)
             self._overflowed = overflowed
-
         if overruns != self._overruns:
             new = overruns - self._overruns
             text = "the bus brings more frames than a tick reads: what comes behind them does not count as fresh"
             self._log.warning(text, tick=tick.index, new=new, total=overruns, frames_a_tick=self._frames_a_tick)
             self._overruns = overruns
 
+    def _lose_unless_it_goes_down(self, error: LinkError, tick: Tick) -> None:
+        """Look again in the next tick: an interface that is taken down loses its carrier first, as in bus-off."""
+        cause = error.__cause__
+        if isinstance(cause, OSError) and cause.errno == errno.ENOLINK and not self._lacked_carrier:
+            self._lacked_carrier, self._next_report = True, tick.index + 1
+        else:
+            self._lose(error)
+
     def _lose(self, error: LinkError) -> None:
         self.error = str(error)
         self._log.error("the bus failed", error=self.error)
         for station in self.stations:
             station.lose_bus(self.error)
-        self.link.close()
+        self._lacked_carrier = False
+        self.link.let_go()
         self.start()
 
     async def _keep_trying_to_open(self) -> None:

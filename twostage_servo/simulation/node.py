@@ -44,6 +44,8 @@ class DriveNode:
         self._error_reported: str | None = None
         self._reopen_s = link.settings.reopen_interval_ms / 1e3
         self._reopen_at_s = 0.0
+        self._opening: asyncio.Task[None] | None = None
+        self._is_stopped = False
 
     async def run(self) -> None:
         """Run until :meth:`stop`."""
@@ -60,7 +62,10 @@ class DriveNode:
 
     def stop(self) -> None:
         """Let :meth:`run` end before the next cycle. Call it from the loop's thread."""
+        self._is_stopped = True
         self._ticks.stop()
+        if self._opening is not None:
+            self._opening.cancel()
 
     def _cycle(self, now_s: float) -> None:
         drive, link = self._drive, self._link
@@ -83,8 +88,12 @@ class DriveNode:
             self._observer(now_s, drive)
 
     async def _open(self, loop: asyncio.AbstractEventLoop) -> None:
-        try:
-            await self._link.open_in_thread()  # the hub that it connects to may be served by this very loop
+        self._opening = asyncio.ensure_future(self._link.open_in_thread())
+        try:  # the hub that it connects to may be served by this very loop
+            await self._opening
+        except asyncio.CancelledError:
+            if not self._is_stopped:
+                raise
         except LinkError as error:
             self._lose(error, loop.time())
         else:
