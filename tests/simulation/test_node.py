@@ -198,6 +198,7 @@ def test_opening_in_a_thread_survives_cancellation(profile: DriveProfile) -> Non
         link = Link(bus, [profile.command_id])
 
         original = loop.run_in_executor
+        working: asyncio.Future[None] = loop.create_future()
 
         def slow(executor: Any, func: Callable[..., None], *args: Any) -> "asyncio.Future[None]":
             async def later() -> None:
@@ -208,7 +209,6 @@ def test_opening_in_a_thread_survives_cancellation(profile: DriveProfile) -> Non
             working = asyncio.ensure_future(later())
             return asyncio.shield(working)
 
-        working: asyncio.Future[None] = loop.create_future()
         loop.run_in_executor = slow  # type: ignore[method-assign, assignment]
         drive = SimulatedDrive(SimulationSettings(), profile, loop.time())
         task = asyncio.create_task(DriveNode(drive, link, 0.001).run())
