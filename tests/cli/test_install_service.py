@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.cli.install_service import service_files
 from twostage_servo.cli.main import main
 from twostage_servo.service.settings import ServiceSettings, longest_end_s
@@ -91,7 +92,9 @@ def test_nothing_is_left_to_fill_in() -> None:
 @pytest.mark.parametrize("unit", UNITS, ids=lambda path: Path(path).name)
 def test_the_manager_waits_for_the_default_braking_and_for_what_the_service_asks(unit: str) -> None:
     told = dict(line.split("=", 1) for line in FILES[unit].splitlines() if "=" in line and not line.startswith("#"))
-    assert float(told["TimeoutStopSec"]) >= longest_end_s(ServiceSettings())
+    assert float(told["TimeoutStopSec"]) >= longest_end_s(
+        ServiceSettings(), [AxisSettings.model_fields["arming_timeout_ms"].default]
+    )
     assert (told["Type"], told["NotifyAccess"]) == ("notify", "main")  # so that it takes EXTEND_TIMEOUT_USEC
 
 

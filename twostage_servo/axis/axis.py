@@ -31,8 +31,11 @@ class Axis(Machine):
         resolution: float = 0.0,
         *,
         heartbeat: bool = False,
+        tells_enabled: bool = True,
     ) -> None:
-        super().__init__(design, counter_modulus, position_period, resolution, heartbeat=heartbeat)
+        super().__init__(
+            design, counter_modulus, position_period, resolution, heartbeat=heartbeat, tells_enabled=tells_enabled
+        )
         self.duration = MoveDuration(design)
         self._move_numbers = itertools.count(1)
 
@@ -59,8 +62,8 @@ class Axis(Machine):
             If the axis is not disarmed, there is no fresh feedback, the drive reports a fault, or the axis stands
             outside its position limits.
         """
-        if self.trip is not None:
-            raise Refused("tripped", f"{say_tripped(self.trip)} `reset` first.")
+        if (trip := self.present_trip) is not None:
+            raise Refused("tripped", f"{say_tripped(trip)} `reset` first.")
         if self.state is not State.DISARMED:
             raise Refused("already_armed", f"the axis is armed already ({self.state}).")
         if obstacle := self.obstacle_to_arming():
@@ -103,13 +106,13 @@ class Axis(Machine):
         """
         check = self._admission
         check.check_velocity(velocity, self.settings.limits.velocity)
-        check.check_state(self.state, Event.MOVE_SPEED, self.trip)
+        check.check_state(self.state, Event.MOVE_SPEED, self.present_trip)
         check.check_target(target, referenced=self.referenced)
         check.check_switches(target - self.law.observer.position)
 
     def move_by(self, distance: float, velocity: float) -> Move:
         """Move relative to the set-point now in force, so that steps add up exactly; else as :meth:`move_to`."""
-        self._admission.check_state(self.state, Event.MOVE_SPEED, self.trip)
+        self._admission.check_state(self.state, Event.MOVE_SPEED, self.present_trip)
         in_force = self.law.target if self._final_target is None else self._final_target
         return self.move_to(in_force + distance, velocity)
 
@@ -125,7 +128,7 @@ class Axis(Machine):
         """
         limits, check = self.settings.limits, self._admission
         check.check_velocity(abs(velocity), limits.velocity if self.referenced else self.settings.homing.velocity)
-        check.check_state(self.state, Event.JOG, self.trip)
+        check.check_state(self.state, Event.JOG, self.present_trip)
         check.check_switches(velocity)
         self._jog_ticks_left = self._jog_ticks
         if self.state is State.JOGGING and self.move is not None and self.move.velocity == velocity:
@@ -152,7 +155,7 @@ class Axis(Machine):
         if self.settings.homing.method == "set_here":
             self.set_position(self.settings.homing.position)
             return
-        self._admission.check_state(self.state, Event.HOME, self.trip)
+        self._admission.check_state(self.state, Event.HOME, self.present_trip)
         self._admission.check_switches(Homing.first_direction(self.settings.homing, self.drive))
         self._homing = Homing(self.design, self.motion, self.drive)
         self.supervision.begin_move()
@@ -168,7 +171,7 @@ class Axis(Machine):
             If the axis moves, its position is not known, or the number is not finite.
         """
         if self.state is not State.DISARMED:
-            self._admission.check_state(self.state, Event.HOME, self.trip)
+            self._admission.check_state(self.state, Event.HOME, self.present_trip)
         is_known = self.state is not State.DISARMED or self.motion.knows_speed
         velocity = self.law.observer.velocity if is_known else None
         self._admission.check_place(position, velocity, self.design.rest_velocity)
@@ -186,7 +189,7 @@ class Axis(Machine):
             If the axis is not armed.
         """
         event = Event.QUICK_STOP if quick else Event.STOP
-        self._admission.check_state(self.state, event, self.trip)
+        self._admission.check_state(self.state, event, self.present_trip)
         before = self.state
         self._apply(event)
         limits = self.settings.limits
@@ -219,12 +222,15 @@ class Axis(Machine):
         Raises
         ------
         Refused
-            If the axis is armed, or still braking after the trip.
+            If the axis is armed, or still braking after the trip, or something is wrong with its drive that must not
+            last: one that is not disabled, or that contradicts itself.
         """
         if self.state in LATCHED and self.state is not State.TRIPPED:
             raise Refused("busy", "the axis is still braking after its trip: `reset` when it is at rest.")
         if next_state(self.state, Event.RESET) is None:
             raise Refused("not_tripped", f"the axis is {self.state}: there is nothing to reset.")
+        if (lasting := next(iter(self.lasting), None)) is not None:
+            raise Refused(lasting.code.value, f"{lasting.cause.rstrip('.')}. {lasting.next_action}")
 
     def _new_move(self, kind: Literal["move", "jog", "home"], target: float, velocity: float) -> Move:
         self.move = Move(next(self._move_numbers), kind, target, velocity, start=self.law.observer.position)

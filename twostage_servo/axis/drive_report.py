@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 
+from twostage_servo.axis.drive_states import DriveState, DriveStateComparison
 from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.settings import AxisSettings
@@ -11,7 +12,7 @@ from twostage_servo.axis.trips import TripCode
 _INPUTS = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
 
 _KNOWLEDGE = (
-    "monitor", "position", "age_s", "enabled", "fault_code", *_INPUTS, "index", "boots", "_near", "_origin",
+    "monitor", "position", "age_s", "enabled", "fault_code", "faulted", *_INPUTS, "index", "boots", "_near", "_origin",
     "_boot_counter", "_heartbeat_heard", "_ticks_since_heartbeat", "_ticks_since_foreign", "_ticks_unseen", "_backlog",
 )  # fmt: skip
 """What a report knows of the drive, and does not have from the settings."""
@@ -44,6 +45,8 @@ class DriveReport:
         Whether the drive says it is enabled; None where it does not tell.
     fault_code
         The drive's fault code while it reports a fault, else None.
+    faulted
+        Whether the drive says that it has a fault; None where it does not tell.
     safe_torque_off, positive_limit, negative_limit, home_switch
         Whether these inputs are active; None where the drive does not tell.
     index
@@ -52,8 +55,14 @@ class DriveReport:
         How often the drive has rebooted since the first heartbeat.
     fresh
         Whether this tick had fresh feedback.
+    told_state
+        Whether a frame of this tick has told the drive's state, with or without a position to be used.
+    told_present_state
+        Whether one has that has not waited for longer than it may, so that it is the state of now.
     monitor
         The alive counter's bookkeeping.
+    states
+        Whether heartbeat and feedback agree.
     """
 
     def __init__(
@@ -66,10 +75,12 @@ class DriveReport:
         heartbeat: bool = False,
     ) -> None:
         self.monitor = FeedbackMonitor(counter_modulus)
+        self.states = DriveStateComparison(settings, period_s)
         self.position: float | None = None
         self.age_s: float | None = None
         self.enabled: bool | None = None
         self.fault_code: int | None = None
+        self.faulted: bool | None = None
         self.safe_torque_off: bool | None = None
         self.positive_limit: bool | None = None
         self.negative_limit: bool | None = None
@@ -77,7 +88,7 @@ class DriveReport:
         self.index: float | None = None
         self.boots = 0
         self.fresh = False
-        self._state_taken = False  # whether a frame of this tick has told the drive's state
+        self.told_state = self.told_present_state = False
         self._settings = settings
         self._period_ms = 1e3 * period_s
         self._position_period = position_period
@@ -105,7 +116,8 @@ class DriveReport:
         ``expected`` is where the axis is by its estimate, in axis unit, to which what the encoder counts is rolled out;
         without one, the last position has to do.
         """
-        self.fresh = self._state_taken = False
+        self.fresh = self.told_state = self.told_present_state = False
+        self.states.begin_tick()
         if expected is not None or self.position is not None:
             self._near = self.position if expected is None else expected
         self._ticks_unseen += 1 + missed
@@ -148,9 +160,11 @@ class DriveReport:
         return sure
 
     def _take_state(self, feedback: Feedback) -> None:
-        again, self._state_taken = self._state_taken, True
+        again, self.told_state = self.told_state, True
+        self.told_present_state = self.told_present_state or not feedback.late
         self.enabled = False if again and self.enabled is False else feedback.enabled
         self.fault_code = self.fault_code if again and self.fault_code is not None else feedback.fault_code
+        self.faulted = (again and self.faulted) or feedback.faulted
         # Written out: a loop over their names took three times as long, on every axis and tick.
         self.safe_torque_off = (again and self.safe_torque_off) or feedback.safe_torque_off
         self.positive_limit = (again and self.positive_limit) or feedback.positive_limit
@@ -166,9 +180,13 @@ class DriveReport:
         """Remember how many reads of the bus in a row came behind one that ended at its bound of so many frames."""
         self._backlog = reads, frames
 
-    def take_heartbeat(self, boot_counter: int | None, *, late: bool = False) -> bool:
-        """Take a heartbeat; return whether the drive has booted since the last one. A late one is no sign of life."""
+    def take_heartbeat(self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False) -> bool:
+        """Take a heartbeat with what its state claims; return whether the drive has booted since the last one.
+
+        A late one is no sign of life, and says nothing of the present state.
+        """
         if not late:
+            self.states.take(state)
             self._ticks_since_heartbeat, self._heartbeat_heard = 0, True
         rebooted = self._boot_counter is not None and boot_counter is not None and boot_counter != self._boot_counter
         self._boot_counter = boot_counter
@@ -183,14 +201,16 @@ class DriveReport:
         """Start afresh, as after the bus was lost; roll-overs are counted on from where the axis was last seen."""
         self.monitor.forget()
         self._backlog = None
-        self.position = self.enabled = self.fault_code = self.age_s = None
+        self.position = self.enabled = self.fault_code = self.faulted = self.age_s = None
         self.safe_torque_off = self.positive_limit = self.negative_limit = self.home_switch = None
         self._ticks_since_heartbeat, self._heartbeat_heard = 0, False
+        self.states.forget()
 
     def take_over(self, former: "DriveReport") -> None:
         """Know what a former report of the same drive knew: settings may change, the drive and its place do not."""
         for name in _KNOWLEDGE:
             setattr(self, name, getattr(former, name))
+        self.states.take_over(former.states)
 
     def forget_index(self) -> None:
         """Wait for the index mark anew."""
@@ -204,7 +224,23 @@ class DriveReport:
         if self.position is not None:
             self.position += distance
 
+    def compare_states(self, missed: int, *, told_enabled: bool) -> None:
+        """Compare heartbeat and feedback, once a tick, before which so many were missed."""
+        self.states.look(
+            missed, self.enabled, self.faulted, has_reported=self.told_present_state, told_enabled=told_enabled
+        )
+
     # What follows from it --------------------------------------------------------------------------------------------
+
+    @property
+    def enabled_report(self) -> bool | None:
+        """Whether the drive has said in this tick that it is enabled; None if it has said nothing of it.
+
+        A drive whose feedback does not tell may say so by its heartbeat.
+        """
+        if self.enabled is not None:
+            return self.enabled if self.told_present_state else None
+        return None if self.states.new is None else self.states.new.enabled
 
     @property
     def is_stale(self) -> bool:

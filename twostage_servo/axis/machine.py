@@ -2,7 +2,9 @@
 
 from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.disabled_drive import DisabledDriveWatch
 from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.drive_states import DriveState
 from twostage_servo.axis.homing import Homing, HomingFailed
 from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback, Move
 from twostage_servo.axis.motion import Motion
@@ -30,6 +32,8 @@ class Machine:
         Step in which the encoder's position is reported, in axis unit; 0 if it has none.
     heartbeat
         Whether the drive has a heartbeat.
+    tells_enabled
+        Whether the drive's feedback tells whether it is enabled.
 
     Attributes
     ----------
@@ -37,6 +41,8 @@ class Machine:
         Where the axis stands; see :class:`State`.
     drive
         What the drive reports: position, age, inputs, faults.
+    disabled
+        Whether a drive that is told to be disabled obeys, and whether the axis stays where it is.
     motion
         The law, the response it is designed for, and which feedback it believes.
     referenced
@@ -59,11 +65,14 @@ class Machine:
         resolution: float = 0.0,
         *,
         heartbeat: bool = False,
+        tells_enabled: bool = True,
     ) -> None:
         self.design = design
         self.settings = design.settings
         self.state = State.DISARMED
         self.drive = DriveReport(self.settings, design.period_s, counter_modulus, position_period, heartbeat=heartbeat)
+        report_period_ms = 0.0 if tells_enabled else self.settings.limits.heartbeat_ms
+        self.disabled = DisabledDriveWatch(design, resolution, report_period_ms)
         self.motion = Motion(design, self.drive, resolution)
         self.supervision = Supervision(design, self.motion)
         self._admission = Admission(design, self.drive)
@@ -75,7 +84,7 @@ class Machine:
         self._homing: Homing | None = None
         self._heading = 0.0  # its sign is the direction of the present leg
         self._final_target: float | None = None  # after an approach from the other side
-        self._tick = 0
+        self._tick = self._missed = 0
         self._ticks_arming = 0
         self._disabled_ticks = 0
         self._jog_ticks_left = 0
@@ -92,7 +101,7 @@ class Machine:
 
     def begin_tick(self, tick: int, missed: int) -> None:
         """Open a tick: its index, and how many were missed just before it."""
-        self._tick = tick
+        self._tick, self._missed = tick, missed
         driven = self.state in DRIVEN
         if missed and driven:
             self.motion.skip(missed)
@@ -119,13 +128,15 @@ class Machine:
         it is required.
         """
         self.drive.take_over(former.drive)
+        self.disabled.take_over(former.disabled)
         by_the_same_rules = self.settings.homing == former.settings.homing or not self.settings.homing.required
         self.referenced = former.referenced and by_the_same_rules
 
-    def take_heartbeat(self, boot_counter: int | None, *, late: bool = False) -> None:
+    def take_heartbeat(self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False) -> None:
         """Take a heartbeat with its count of the drive's boots; a drive that has rebooted has lost its position."""
-        if self.drive.take_heartbeat(boot_counter, late=late):
+        if self.drive.take_heartbeat(boot_counter, state, late=late):
             self.referenced = False
+            self.disabled.motion.begin(0.0)
             self.raise_trip(TripCode.DRIVE_REBOOTED, "the drive has rebooted while it was enabled")
 
     def notice_foreign_command(self, frame: str) -> None:
@@ -140,6 +151,7 @@ class Machine:
         if state in ENABLED:
             for code, cause in self.drive.troubles(arming=state is State.ARMING):
                 self.raise_trip(code, cause)
+        self._watch_drive(told_enabled=state in ENABLED)
         if self.state not in DRIVEN:
             self.motion.track()
         if self.state is State.ARMING:
@@ -154,9 +166,12 @@ class Machine:
         return self._drive()
 
     def raise_trip(self, code: TripCode, cause: str) -> None:
-        """Latch a trip; a second one changes nothing but that a more severe reaction takes over."""
+        """Latch a trip; a second one changes nothing but that a more severe reaction takes over.
+
+        One that concerns a disabled drive stands beside the first in any case: it must not hide behind it.
+        """
         rule = RULES[code]
-        after = next_state(self.state, EVENTS[rule.reaction])
+        after = next_state(self.state, Event.TRIP_WHILE_DISABLED if rule.while_disabled else EVENTS[rule.reaction])
         if after is None:
             return
         trip = Trip(code, cause, self._tick)
@@ -167,7 +182,7 @@ class Machine:
         self.referenced = self.referenced and not rule.unreferenced
         if self.trip is None:
             self.trip = trip
-        elif after is self.state:
+        elif after is self.state and not rule.while_disabled:
             return
         else:
             self.escalation = trip
@@ -182,6 +197,26 @@ class Machine:
         """Give up a braking that takes too long, and disable the drive as at its end."""
         if next_state(self.state, Event.AT_REST) in {State.DISARMED, State.TRIPPED}:
             self._apply(Event.AT_REST)
+
+    @property
+    def lasting(self) -> tuple[Trip, ...]:
+        """What is wrong with the drive at this moment, with its present numbers; no reset is possible meanwhile."""
+        lasting = []
+        if self.disabled.not_disabled:
+            lasting.append(Trip(TripCode.DRIVE_NOT_DISABLED, self._say_not_disabled(), self._tick))
+        if contradiction := self.drive.states.contradiction:
+            lasting.append(Trip(TripCode.DRIVE_STATE_MISMATCH, contradiction, self._tick))
+        return tuple(lasting)
+
+    @property
+    def is_disabling(self) -> bool:
+        """Whether the drive has been told to disable, and still has time to report that it is off."""
+        return self.state not in ENABLED and self.disabled.waits
+
+    @property
+    def present_trip(self) -> Trip | None:
+        """The trip that the operator has to deal with first: one that lasts, else the first one; None without any."""
+        return next(iter(self.lasting), self.trip)
 
     def obstacle_to_arming(self) -> tuple[str, str] | None:
         """Return code and text of what keeps a disarmed axis from being armed, or None."""
@@ -207,6 +242,27 @@ class Machine:
         return self.motion.following_error if self.state in DRIVEN else 0.0
 
     # Parts of the tick -----------------------------------------------------------------------------------------------
+
+    def _watch_drive(self, *, told_enabled: bool) -> None:
+        """Trip by what must not last, whether the axis is enabled or not."""
+        drive = self.drive
+        drive.compare_states(self._missed, told_enabled=told_enabled)
+        if told_enabled:
+            self.disabled.release(drive.enabled_report)
+        else:
+            position = drive.position if drive.fresh else None
+            self.disabled.look(self._missed, drive.enabled_report, position, self.law.observer.velocity)
+        for trip in self.lasting:
+            if trip.code not in self.trips:
+                self.raise_trip(trip.code, trip.cause)
+
+    def _say_not_disabled(self) -> str:
+        watch, unit = self.disabled, self.settings.unit
+        moved = "" if watch.moved is None else f"; the axis has moved by {watch.moved:+.4g} {unit} meanwhile"
+        return (
+            f"the drive reports that it is enabled, for {watch.enabled_ms:g} ms of the {watch.told_ms:g} ms since it "
+            f"was told to disable{moved}; axis.arming_timeout_ms is {self.settings.arming_timeout_ms:g}"
+        )
 
     def _arm_when_enabled(self) -> None:
         self._ticks_arming += 1
@@ -327,6 +383,7 @@ class Machine:
     def _reference_at(self, found: float, position: float) -> None:
         """Count positions so that the place `found` (axis unit, by the former origin) is `position`."""
         self.drive.shift(position - found)
+        self.disabled.motion.shift(position - found)
         self.motion.shift(position - found)
         self.referenced = True
 

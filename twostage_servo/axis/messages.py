@@ -34,6 +34,8 @@ class Feedback(NamedTuple):
     late
         Whether the frame has waited, unread, for longer than it may: what it says of the drive's state still counts,
         its position is not of now.
+    faulted
+        Whether the drive says that it has a fault.
     """
 
     position: float
@@ -47,6 +49,7 @@ class Feedback(NamedTuple):
     age_s: float | None = None
     unasked: bool = False
     late: bool = False
+    faulted: bool | None = None
 
 
 class Command(NamedTuple):

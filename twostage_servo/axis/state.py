@@ -54,6 +54,7 @@ class Event(enum.StrEnum):
     TRIP_STOP = "trip_stop"
     TRIP_QUICK_STOP = "trip_quick_stop"
     TRIP_DISABLE = "trip_disable"
+    TRIP_WHILE_DISABLED = "trip_while_disabled"
     RESET = "reset"
 
 
@@ -109,6 +110,8 @@ TRANSITIONS: MappingProxyType[tuple[State, Event], State] = MappingProxyType(
             (state, _E.TRIP_DISABLE): _S.TRIPPED
             for state in (_S.ARMING, *_OPERATING, _S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP)
         },
+        # What is wrong with a drive that should be off latches an axis that is disabled as well
+        **{(state, _E.TRIP_WHILE_DISABLED): _S.TRIPPED for state in State},
     }
 )
 

@@ -51,6 +51,8 @@ class TripCode(enum.StrEnum):
     DRIVE_FAULT = "drive_fault"
     DRIVE_DROPPED_OUT = "drive_dropped_out"
     DRIVE_NOT_ENABLED = "drive_not_enabled"
+    DRIVE_NOT_DISABLED = "drive_not_disabled"
+    DRIVE_STATE_MISMATCH = "drive_state_mismatch"
     DRIVE_REBOOTED = "drive_rebooted"
     SAFE_TORQUE_OFF = "safe_torque_off"
     HEARTBEAT_LOST = "heartbeat_lost"
@@ -76,6 +78,8 @@ class TripRule:
         Whether even the speed is not known, so that a quick stop can do no more than take the effort away.
     unreferenced
         Whether positions can't be trusted any more until the axis has been homed again.
+    while_disabled
+        Whether an axis trips by it that is disabled, or has tripped, already.
     """
 
     reaction: Reaction
@@ -83,6 +87,7 @@ class TripRule:
     blind: bool = False
     estimate_lost: bool = False
     unreferenced: bool = False
+    while_disabled: bool = False
 
 
 _QUICK, _DISABLE = Reaction.QUICK_STOP, Reaction.DISABLE
@@ -174,6 +179,18 @@ RULES: dict[TripCode, TripRule] = {
         "If the drive did not follow the enable bit, check its fault code and safety inputs; if samples were missing, "
         "its bus, and the host with `twostage-servo doctor`. Then `reset` and `arm`.",
     ),
+    TripCode.DRIVE_NOT_DISABLED: TripRule(
+        _DISABLE,
+        "Switch the drive's power off, or its safe torque off on: it does not obey. Look for another controller, its "
+        "enable input, its mode and its fault; `reset` when it reports that it is disabled.",
+        while_disabled=True,
+    ),
+    TripCode.DRIVE_STATE_MISMATCH: TripRule(
+        _DISABLE,
+        "Take the drive for enabled until you know. Compare the signals that [protocol] names with its manual; where "
+        "its heartbeat's state means something else, set protocol.heartbeat.state to false. Then `reset` and `arm`.",
+        while_disabled=True,
+    ),
     TripCode.DRIVE_REBOOTED: TripRule(
         _DISABLE,
         "Check the drive's supply; then `reset`, `arm`, and `home`: the drive has forgotten where it was.",
@@ -243,5 +260,6 @@ def trip_table() -> str:
         how += ", on the model alone" if rule.blind else ""
         how += ", without effort" if rule.estimate_lost else ""
         how += "; the reference is lost" if rule.unreferenced else ""
+        how += "; while disabled as well" if rule.while_disabled else ""
         lines.append(f"| `{code}` | {how} | {rule.next_action} |")
     return "\n".join(lines)

@@ -67,7 +67,7 @@ def _check(options: argparse.Namespace) -> ExitCode:
     summaries = [
         _summary(loaded.config, station) for loaded, station in zip(machine.axes, service.stations, strict=True)
     ]
-    ends_within_s = longest_end_s(machine.service)
+    ends_within_s = longest_end_s(machine.service, (loaded.config.axis.arming_timeout_ms for loaded in machine.axes))
     if options.json:
         several = {"axes": summaries} if len(summaries) > 1 else summaries[0]
         print_json({"config": machine.source, "valid": True, "longest_end_s": ends_within_s, **several})

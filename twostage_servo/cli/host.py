@@ -234,7 +234,9 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
         *check_machine(host, machine.realtime, Kernel(host.proc)),
         _socket_finding(socket_path(machine.service)),
         folder_finding("trip files", trips, "service.trip_folder"),
-        service_manager_finding(host, longest_end_s(machine.service)),
+        service_manager_finding(
+            host, longest_end_s(machine.service, (loaded.config.axis.arming_timeout_ms for loaded in machine.axes))
+        ),
     ]
     buses: dict[tuple[str, str | int], list[LoadedConfig[Config]]] = {}
     for loaded in machine.axes:

@@ -233,7 +233,8 @@ def _reload(options: argparse.Namespace) -> ExitCode:
 
 def _reset(options: argparse.Namespace) -> ExitCode:
     with _connect(options) as client:
-        return _finish(options, client.request(op="reset"))
+        client.request(op="reset")
+        return _finish(options, _wait_while(client, set()))
 
 
 def _move(options: argparse.Namespace) -> ExitCode:
@@ -286,10 +287,17 @@ def _follow(client: "Client", begun: "Answer", names: "Sequence[str]" = (), *, q
 
 
 def _wait_while(client: "Client", states: set[str]) -> "Answer":
-    """Return the first state that is none of these; the service bounds each of them, or the operator with Ctrl-C."""
+    """Return the first state that is none of these, with every drive that is told to disable seen to be off.
+
+    The service bounds each of them, or the operator with Ctrl-C.
+    """
+
+    def goes_on(seen: "Answer") -> bool:
+        return bool(_states(seen) & states) or any(one["drive"]["disabling"] for one in _reports(seen).values())
+
     status = client.request(op="status")
-    if _states(status) & states:
-        status = next(seen for seen in client.watch(1) if not _states(seen) & states)
+    if goes_on(status):
+        status = next(seen for seen in client.watch(1) if not goes_on(seen))
     return {"ok": True} | status
 
 
@@ -302,8 +310,16 @@ def _finish(options: argparse.Namespace, status: "Answer", *, moved: bool = Fals
     if options.verb == "arm" and _states(status) != {"holding"}:
         return ExitCode.FAILED
     not_reached = moved and any(one["move"] and one["move"]["outcome"] in {"stopped", "tripped"} for one in reports)
-    failed = any(one["trip"] for one in reports) or not_reached
-    return ExitCode.FAILED if failed and options.verb != "disarm" else ExitCode.DONE
+    if options.verb == "disarm":  # a trip has disabled the drive as well
+        return ExitCode.FAILED if any(map(_may_be_enabled, reports)) else ExitCode.DONE
+    failed = any(one["trip"] or _may_be_enabled(one) for one in reports) or not_reached
+    return ExitCode.FAILED if failed else ExitCode.DONE
+
+
+def _may_be_enabled(status: "Answer") -> bool:
+    """Whether the drive of a disabled axis says that it is enabled, or two things at once; also if it is silent now."""
+    disabled = status["axis"]["state"] in {"disarmed", "tripped"}
+    return disabled and bool(status["drive"]["enabled"] or status["drive"]["lasting"])
 
 
 def _number(value: float | None, unit: str) -> str:
@@ -324,10 +340,15 @@ def _one_line(status: "Answer") -> str:
     if move and axis["state"] in _ARMED and move["outcome"] != "replaced":
         what = f"set-point {move['target']:g} {axis['unit']}" if move["kind"] == "move" else move["kind"]
         text += f"; {what} {move['outcome']}" + (f": {move['reason']}" if move["reason"] else "")
+    if status["drive"]["moved"] is not None:
+        text += f"; moved by {status['drive']['moved']:+.3f} {axis['unit']} while disabled"
     if trip:
         text += f"\ntrip {trip['code']}: {trip['cause']}\nnext: {trip['next_action']}"
         if trip["file"]:
             text += f"\nfile: {trip['file']}"
+    for one in status["drive"]["lasting"]:
+        text += f"\nlasts {one['code']}: {one['cause']}"
+        text += f"\nnext: {one['next_action']}" if trip and one["code"] != trip["code"] else ""
     return text
 
 

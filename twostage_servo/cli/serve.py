@@ -43,11 +43,12 @@ def _run(options: argparse.Namespace) -> int:
     from twostage_servo.service.ending_signals import EndingSignals
 
     with EndingSignals() as signals:
-        _run_service(options, signals)
-        return signals.exit_code
+        code = _run_service(options, signals)
+        # A signal that is a failure says so; else it is told what became of the drives.
+        return signals.exit_code or code
 
 
-def _run_service(options: argparse.Namespace, signals: "EndingSignals") -> None:
+def _run_service(options: argparse.Namespace, signals: "EndingSignals") -> ExitCode:
     import asyncio
 
     from twostage_servo.service.assembly import build_service
@@ -66,6 +67,7 @@ def _run_service(options: argparse.Namespace, signals: "EndingSignals") -> None:
         writer.close()
     if options.json:
         print_json(service.snapshot())
+    return ExitCode.FAILED if service.not_disabled else ExitCode.DONE
 
 
 def _load_for_processes(options: argparse.Namespace) -> "Machine":
@@ -93,7 +95,6 @@ async def _serve(
     from twostage_servo.service.control_socket import ControlSocket
     from twostage_servo.service.notify import Notifier
     from twostage_servo.service.request_age import time_asleep_s
-    from twostage_servo.service.settings import longest_end_s
     from twostage_servo.service.status_line import StatusLine
     from twostage_servo.service.trip_files import TripFiles, default_folder
 
@@ -119,7 +120,7 @@ async def _serve(
     try:
         await service.run()
     finally:
-        notifier.stopping(longest_end_s(machine.service))
+        notifier.stopping(_longest_end_s(service))
         await control.stop()
         trip_files.close()
         notifier.close()
@@ -129,15 +130,20 @@ def _feeder(
     service: "ServoService", notifier: "Notifier", loop: "asyncio.AbstractEventLoop"
 ) -> "Callable[[Tick], None]":
     """Return the publisher that gives a sign of life for a tick, and tells of the end; it has to be the last one."""
-    from twostage_servo.service.settings import longest_end_s
 
     def feed(tick: "Tick") -> None:
         if service.is_ending:
-            notifier.stopping(longest_end_s(service.settings))
+            notifier.stopping(_longest_end_s(service))
         if tick.index != service.failed_tick:
             notifier.tick_completed(loop.time())
 
     return feed
+
+
+def _longest_end_s(service: "ServoService") -> float:
+    from twostage_servo.service.settings import longest_end_s
+
+    return longest_end_s(service.settings, (station.axis.settings.arming_timeout_ms for station in service.stations))
 
 
 def _reload(service: "ServoService", running: "Machine", options: argparse.Namespace) -> None:

@@ -93,6 +93,7 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: floa
             profile.position_period,
             profile.position_quantum,
             heartbeat=profile.heartbeat_id is not None,
+            tells_enabled=loaded.config.protocol.feedback.enabled is not False,
         )
     except DesignError as error:
         raise loaded.problem(error.key, str(error)) from error

@@ -27,16 +27,17 @@ class Group:
 
     def __init__(self, reaction: GroupReaction) -> None:
         self._reaction = reaction
-        self._known: dict[str, Trip | None] = {}
+        self._known: dict[str, tuple[Trip | None, Trip | None]] = {}
         self._log = structlog.get_logger().bind(room="group")
 
     def react(self, stations: Sequence[Station]) -> None:
         """Let the others react to the trips of this tick."""
         for station in stations:
-            trip = station.axis.trip
-            if trip is self._known.get(station.name):
+            trip, later = station.axis.trip, station.axis.escalation
+            known, known_later = self._known.get(station.name, (None, None))
+            if trip is known and later is known_later:
                 continue
-            self._known[station.name] = trip
+            self._known[station.name] = trip, later
             if trip is not None and self._reaction != "continue":
                 self._stop_others(station, stations)
 

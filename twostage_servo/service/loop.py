@@ -54,6 +54,8 @@ class ServoService:
         What the ticks were like.
     failure
         The defect that ends the service, or None.
+    not_disabled
+        Names of the axes whose drives had not reported that they are disabled when the service ended.
     failed_tick
         Index of the latest tick in which a defect showed, and which does not count as completed; or None.
     publishers
@@ -83,6 +85,7 @@ class ServoService:
         self.host: Callable[[], dict[str, Any]] | None = None
         self.failure: Exception | None = None
         self.failed_tick: int | None = None
+        self.not_disabled: list[str] = []
         self._group = Group(group_reaction)
         self._ending_ticks: int | None = None
         self._parting_frames = 0
@@ -137,13 +140,18 @@ class ServoService:
                 with contextlib.ExitStack() as every_drive:  # a defect at one drive is not in the way of the others
                     for station in self.stations:
                         every_drive.callback(station.disable_drive, tick_index)
+                self.not_disabled = [station.name for station in self.stations if station.tell_if_not_disabled()]
             finally:
                 await asyncio.gather(*(port.close() for port in self.ports))
         if self.failure is not None:
             raise self.failure
 
     def shut_down(self) -> None:
-        """Bring the axes to rest, disable the drives, and end the loop; within the shutdown time-out at the latest."""
+        """Bring the axes to rest, disable the drives, and end the loop.
+
+        They are told to disable within the shutdown time-out at the latest, and then have their own time to report it
+        (``axis.arming_timeout_ms``).
+        """
         if self._ending_ticks is None:
             self._ending_ticks = round(self.settings.shutdown_timeout_ms / self.settings.tick_ms)
             self._log.info("ending", states={station.name: station.axis.state for station in self.stations})
@@ -245,7 +253,9 @@ class ServoService:
     def _end_at_rest(self) -> None:
         if self._ending_ticks is not None and all(station.axis.state not in ENABLED for station in self.stations):
             self._parting_frames += 1
-            if self._parting_frames >= _PARTING_FRAMES:
+            # Each drive has its time to report that it is off: what was not seen is told, not taken for granted.
+            waits = any(station.axis.is_disabling for station in self.stations)
+            if self._parting_frames >= _PARTING_FRAMES and not waits:
                 self.ticks.stop()
 
     def fail(self, error: Exception) -> None:

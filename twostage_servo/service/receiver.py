@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import can
 import structlog
 
+from twostage_servo.axis.drive_states import interpret
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.state import DRIVEN
 from twostage_servo.canbus.profile import DriveProfile, FrameRejected, PositionRejected
@@ -58,6 +59,8 @@ class Receiver:
         self._period_s = period_s
         self._late = False
         self.drive_state: int | None = None
+        # Of a heartbeat without a state, or with states that are not CiA 402's, nothing is known.
+        self._states = {value: interpret(text) for value, text in profile.state_texts.items()}
         self._log = structlog.get_logger().bind(room="receiver")
 
     def begin_tick(self, tick: Tick, sent_s: float | None) -> None:
@@ -83,7 +86,8 @@ class Receiver:
             elif profile.is_heartbeat(message):
                 heartbeat = profile.decode_heartbeat(message)
                 self.drive_state = heartbeat.state
-                axis.take_heartbeat(heartbeat.boot_counter, late=self._is_late(message, link))
+                state = None if heartbeat.state is None else self._states.get(heartbeat.state)
+                axis.take_heartbeat(heartbeat.boot_counter, state, late=self._is_late(message, link))
             elif profile.is_index(message):
                 axis.drive.take_index(profile.decode_index(message).position)
             elif profile.is_command(message):
@@ -130,8 +134,17 @@ class Receiver:
                 self._dated_age_s(age_s) if self._dated else self.sample_age_s,
                 unasked=self._late and not self._dated,
                 late=self._is_late(message, link),
+                faulted=_tells_fault(feedback),
             )
         )
 
     def _dated_age_s(self, age_s: float | None) -> float | None:
         return None if age_s is None else age_s - self._lateness_s
+
+
+def _tells_fault(feedback: Reported) -> bool | None:
+    """Return whether the drive says that it has a fault; None where it does not tell, or tells a time-out alone."""
+    told = feedback.fault
+    if told is None and feedback.fault_code is not None:
+        told = feedback.fault_code != 0
+    return None if feedback.command_timeout and not told else told

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from twostage_servo.service.disabled_report import DisabledReport
 from twostage_servo.service.recorder import Record
 from twostage_servo.ticks import Tick
 
@@ -41,6 +42,7 @@ class Reporter:
         self._told = 1  # trips since the last reset, the first one apart
         self._referenced = station.axis.referenced
         self._stale = True
+        self._disabled = DisabledReport(station.name, station.axis.design.period_s)
 
     def report(self, tick: Tick) -> None:
         """Report what has changed since the last tick."""
@@ -56,6 +58,7 @@ class Reporter:
         if axis.drive.is_stale is not self._stale:
             self._stale = axis.drive.is_stale
             self._log.warning("feedback stale" if self._stale else "feedback fresh", tick=tick.index)
+        self._disabled.report(tick.index, axis)
 
     def _report_trip(self, tick: Tick) -> None:
         axis = self._station.axis

@@ -1,5 +1,6 @@
 """The table ``[service]``."""
 
+from collections.abc import Iterable
 from typing import Final, Literal
 
 from pydantic import Field
@@ -46,6 +47,9 @@ _AFTER_BRAKING_S: Final = 12.0
 """An opening of a bus that is under way is waited for, and a trip file; and the log is written."""
 
 
-def longest_end_s(settings: ServiceSettings) -> float:
-    """Return how long the service may take from the request to end until its process has ended, in s."""
-    return settings.shutdown_timeout_ms / 1e3 + _AFTER_BRAKING_S
+def longest_end_s(settings: ServiceSettings, arming_timeouts_ms: Iterable[float]) -> float:
+    """Return how long the service may take from the request to end until its process has ended, in s.
+
+    The axes brake, and each drive then has its ``axis.arming_timeout_ms`` to report that it is disabled.
+    """
+    return (settings.shutdown_timeout_ms + max(arming_timeouts_ms, default=0.0)) / 1e3 + _AFTER_BRAKING_S

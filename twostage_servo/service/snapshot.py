@@ -73,6 +73,12 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "file": None if files is None or files.latest is None else str(files.latest),
             "file_error": None if files is None else files.error,
         },
+        "drive": {
+            "enabled": axis.drive.enabled,
+            "disabling": axis.is_disabling,
+            "moved": axis.disabled.moved,
+            "lasting": [{"code": one.code, "cause": one.cause, "next_action": one.next_action} for one in axis.lasting],
+        },
         "inputs": {
             "safe_torque_off": axis.drive.safe_torque_off,
             "positive_limit": axis.drive.positive_limit,

@@ -139,6 +139,16 @@ class Station:
             text = "the drive could not be told to disable; its own time-out has to stop it"
             structlog.get_logger().error(text, axis=self.name, error=self.port.error or "the bus takes no frame")
 
+    def tell_if_not_disabled(self) -> bool:
+        """Return whether the drive was never seen to be disabled before the service ends, which the log is told."""
+        watch = self.axis.disabled
+        if watch.seen_enabled:
+            text = "the drive has not been seen to be disabled before the service ends; its own time-out has to stop it"
+            structlog.get_logger().error(
+                text, axis=self.name, code=TripCode.DRIVE_NOT_DISABLED, told_ms=watch.told_ms, moved=watch.moved
+            )
+        return watch.seen_enabled
+
     def report(self) -> dict[str, Any]:
         """Return the state of the axis and its bus, ready for JSON."""
         return report_axis(self)

@@ -86,8 +86,13 @@ def status_line(service: "ServoService", missed_lately: int) -> str:
 def _of(station: "Station") -> str:
     axis, port = station.axis, station.port
     words = f"{station.name} {WORDS[axis.state]}"
+    if axis.disabled.moved is not None:
+        words = f"{words}, moved by {axis.disabled.moved:+.3g} {axis.settings.unit} while disabled"
     if axis.trip is not None:
         words = f"{words} ({axis.trip.code}): {axis.trip.cause.rstrip('.')}. {axis.trip.next_action}"
+        for one in axis.lasting:
+            if one.code is not axis.trip.code:
+                words = f"{words} Besides ({one.code}): {one.cause.rstrip('.')}. {one.next_action}"
     elif port.error is not None:
         words = f"{words}, no bus: {port.error}"
     elif axis.drive.is_stale:

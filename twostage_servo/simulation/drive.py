@@ -148,7 +148,9 @@ class SimulatedDrive:
         elif not self._faults.ignores_effort:
             self._stuck_effort = self._commanded_effort
         before, self._faults = self._faults, changed
-        self._effort = self._limited(self._commanded_effort)
+        if changed.stays_enabled and not (before.stays_enabled or changed.safe_torque_off or self._fault_code):
+            self._enabled = True
+        self._effort = self._acting()
         is_new_fault = changed.fault_code not in {NO_FAULT, before.fault_code}
         if is_new_fault:
             self._fault_code = changed.fault_code
@@ -215,7 +217,8 @@ class SimulatedDrive:
             self._may_enable = True
             self._fault_code = self._faults.fault_code
         if command.enable is False:
-            self._disable()
+            if not self._faults.stays_enabled:
+                self._disable()
         elif self._fault_code != NO_FAULT or self._faults.safe_torque_off:
             self._may_enable = False  # the edge came too early
         elif self._may_enable:
@@ -281,7 +284,9 @@ class SimulatedDrive:
 
     def _heartbeat(self) -> bytes:
         self._advance()
-        if self._enabled:
+        if self._faults.heartbeat_state is not None:
+            state = self._faults.heartbeat_state
+        elif self._enabled:
             state = OPERATION_ENABLED
         elif self._fault_code != NO_FAULT:
             state = FAULT
@@ -302,7 +307,8 @@ class SimulatedDrive:
     def _advance(self) -> None:
         """Bring axis and firmware to the time of the last call, from event to event."""
         while True:
-            timeout_s = self._commanded_s + self._command_timeout_s if self._enabled else inf
+            obeys = self._enabled and not self._faults.stays_enabled
+            timeout_s = self._commanded_s + self._command_timeout_s if obeys else inf
             arrival_s = self._arriving[0][0] if self._arriving else inf
             event_s = min(timeout_s, arrival_s, self._booted_s)
             if event_s > self._now_s:
@@ -316,7 +322,7 @@ class SimulatedDrive:
             elif event_s == arrival_s:
                 arrived = self._arriving.popleft()[1]
                 self._commanded_effort = arrived if self._stuck_effort is None else self._stuck_effort
-                self._effort = self._limited(self._commanded_effort)
+                self._effort = self._acting()
             else:
                 self._begin_to_run(event_s)
         self._axis.advance(self._now_s, self._effort)
@@ -328,11 +334,15 @@ class SimulatedDrive:
         self._feedback_timer.restart(booted_s)
         self._heartbeat_timer.restart(booted_s)
 
-    def _limited(self, effort: float) -> float:
-        limit = self._faults.effort_limit
+    def _acting(self) -> float:
+        """Return the effort that acts with the present faults."""
+        if not self._enabled:
+            return self._faults.effort_while_disabled
+        effort, limit = self._commanded_effort, self._faults.effort_limit
         return effort if limit is None else max(-limit, min(limit, effort))
 
     def _disable(self) -> None:
         self._enabled = False
-        self._commanded_effort = self._effort = 0.0
+        self._commanded_effort = 0.0
+        self._effort = self._acting()
         self._arriving.clear()

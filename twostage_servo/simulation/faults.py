@@ -29,6 +29,13 @@ class DriveFaults:
         one, enables on an edge of Enable only.
     heartbeat_silent : bool
         No heartbeat is sent.
+    heartbeat_state : int or None
+        The state that the heartbeat reports, whatever it is. None: the true one.
+    stays_enabled : bool
+        The power stage is on, also if it was off, with the effort that acts at the moment; neither Enable nor the
+        command time-out switches it off, but a fault, safe torque off and a reboot do.
+    effort_while_disabled : float
+        Effort that acts while the drive is disabled and says so, effort unit.
     effort_limit : float or None
         Largest magnitude of the effort that really acts, effort unit; not negative. None: whatever is commanded.
     jammed : bool
@@ -49,6 +56,9 @@ class DriveFaults:
     fault_code: int = 0
     safe_torque_off: bool = False
     heartbeat_silent: bool = False
+    heartbeat_state: int | None = None
+    stays_enabled: bool = False
+    effort_while_disabled: float = 0.0
     effort_limit: float | None = None
     jammed: bool = False
     load: float = 0.0
@@ -64,3 +74,5 @@ class DriveFaults:
             raise ValueError(f"effort_limit {self.effort_limit}: limits the magnitude of the effort, give 0 or more")
         if not isfinite(self.load):
             raise ValueError(f"load {self.load}: must be finite")
+        if not isfinite(self.effort_while_disabled):
+            raise ValueError(f"effort_while_disabled {self.effort_while_disabled}: must be finite")

@@ -1,0 +1,238 @@
+"""Watches a drive that has been told to disable: whether it says that it is off, and whether the axis stays in place.
+
+Two things are told apart. A drive that still reports that it is enabled does not obey, and nothing that is sent to it
+can be relied on. An axis that moves although its drive is off may be pushed by a hand or drawn by its weight.
+"""
+
+import math
+
+from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+
+_SPEED_SAMPLES = 3
+"""Samples from which the speed at the beginning is taken: the drive takes the command between the first of them."""
+
+_SAMPLES_BEYOND = 2
+"""Samples in a row that are motion: one is a spike."""
+
+_ROUND_TRIP_TICKS = 2
+"""Ticks that a report needs in any case, beside the time that the drive has: until the command leaves, and back."""
+
+
+class MotionWhileDisabled:
+    """Finds out whether an axis moves though nothing drives it.
+
+    An axis that was moving coasts: by ``speed / pole``, with a plant that is off its model by as much as it may be, and
+    what it goes before the drive has taken the command. Motion beyond that, and beyond what a sample may be off
+    (``axis.limits.innovation``), is not explained. When it should have come to rest, its place is taken anew.
+
+    Parameters
+    ----------
+    design
+        The axis.
+    resolution
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+
+    Attributes
+    ----------
+    moved
+        How far the axis has moved beyond what coasting explains, in axis unit; None where nothing shows that.
+    """
+
+    __slots__ = (
+        "_anchor", "_beyond", "_last", "_overspeed", "_period_s", "_pole", "_samples", "_settled", "_speed",
+        "_ticks", "_ticks_since_last", "_tolerance", "moved",
+    )  # fmt: skip
+
+    def __init__(self, design: AxisDesign, resolution: float) -> None:
+        limits = design.settings.limits
+        self._period_s = design.period_s
+        self._pole = design.settings.plant.pole * (1.0 - MODEL_ERROR)
+        self._overspeed = limits.overspeed
+        self._tolerance = limits.innovation + 2.0 * resolution
+        self.moved: float | None = None
+        self.begin(0.0)
+
+    def begin(self, velocity: float) -> None:
+        """Begin anew: the drive is told to disable now, at an estimated velocity in axis unit/s."""
+        self._speed = abs(velocity)
+        self._anchor: float | None = None
+        self._last = 0.0
+        self._samples = self._ticks = self._ticks_since_last = self._beyond = 0
+        self._settled = False
+        self.moved = None
+
+    def look(self, missed: int, position: float | None) -> None:
+        """Look at a tick, before which so many were missed, and at its sample in axis unit, None if there is none."""
+        self._ticks += 1 + missed
+        self._ticks_since_last += 1 + missed
+        if position is None:
+            return
+        last, ticks = self._last, self._ticks_since_last
+        self._last, self._ticks_since_last = position, 0
+        self._samples += 1
+        if self._anchor is None:
+            self._anchor = position
+            return
+        seen = abs(position - last) / (ticks * self._period_s)
+        if self._samples <= _SPEED_SAMPLES and seen > self._speed:
+            self._speed, self._ticks = seen, 0
+        self._beyond = self._beyond + 1 if abs(position - self._anchor) > self._allowed() else 0
+        if self._beyond >= _SAMPLES_BEYOND or self.moved is not None:
+            self.moved = position - self._anchor
+        elif not self._settled and self._is_at_rest():
+            self._settled, self._anchor = True, position
+
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower."""
+        self._last += distance
+        if self._anchor is not None:
+            self._anchor += distance
+
+    def take_over(self, former: "MotionWhileDisabled") -> None:
+        """Know what a former one on the same axis knew."""
+        for name in (
+            "_anchor", "_beyond", "_last", "_samples", "_settled", "_speed", "_ticks", "_ticks_since_last", "moved",
+        ):  # fmt: skip
+            setattr(self, name, getattr(former, name))
+
+    @property
+    def _start_speed(self) -> float:
+        """Speed with which the axis coasted `_ticks` ago, in axis unit/s; beyond the limit it is the encoder's."""
+        return min(self._speed, self._overspeed)
+
+    def _allowed(self) -> float:
+        """Return how far the axis may be from its anchor, in axis unit."""
+        if self._settled:
+            return self._tolerance
+        return self._start_speed * (1.0 / self._pole + _SPEED_SAMPLES * self._period_s) + self._tolerance
+
+    def _is_at_rest(self) -> bool:
+        """Whether an axis that coasts is at rest by now: what it has yet to go cannot be told from a bad sample."""
+        to_go = self._start_speed / (self._pole * 0.5 * self._tolerance)
+        long_enough = self._ticks * self._period_s >= math.log(max(1.0, to_go)) / self._pole
+        return long_enough and self._samples > _SPEED_SAMPLES and self._beyond == 0
+
+
+class DisabledDriveWatch:
+    """Looks, once a tick, at a drive that is told to be disabled.
+
+    The drive has ``axis.arming_timeout_ms`` to report that it is off. The time in which it reports that it is enabled
+    adds up until it has reported for as long that it is disabled, so that one which enables itself again and again is
+    told as well. Time without a report does not count.
+
+    Parameters
+    ----------
+    design
+        The axis.
+    resolution
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+    report_period_ms
+        Time between two reports where they do not come with the feedback, in ms; else 0.
+
+    Attributes
+    ----------
+    motion
+        Whether the axis moves meanwhile.
+    """
+
+    __slots__ = (
+        "_patience", "_period_s", "_reported", "_silence_allowed", "_ticks_disabled", "_ticks_enabled",
+        "_ticks_silent", "_ticks_told", "motion",
+    )  # fmt: skip
+
+    def __init__(self, design: AxisDesign, resolution: float = 0.0, report_period_ms: float = 0.0) -> None:
+        settings = design.settings
+        self.motion = MotionWhileDisabled(design, resolution)
+        self._period_s = design.period_s
+        self._patience = design.ticks(settings.arming_timeout_ms + report_period_ms) + _ROUND_TRIP_TICKS
+        self._silence_allowed = design.ticks(max(settings.limits.stale_feedback_ms, report_period_ms))
+        self._reported: bool | None = None  # what the drive said last
+        self._ticks_silent = 0
+        self._ticks_told: int | None = None  # since it was told to disable; None while it is told to be enabled
+        self._ticks_enabled = 0  # since then, in which it said that it is enabled
+        self._ticks_disabled = 0  # in a row, in which it said that it is not
+
+    def release(self, report: bool | None) -> None:
+        """Watch no longer: the drive is told to be enabled. What it says of itself is remembered, None if nothing."""
+        if report is not None:
+            self._reported, self._ticks_silent = report, 0
+        if self._ticks_told is not None:
+            self._ticks_told = None
+            self._ticks_enabled = self._ticks_disabled = 0
+            self.motion.begin(0.0)
+
+    def look(self, missed: int, report: bool | None, position: float | None, velocity: float) -> None:
+        """Look at a tick in which the drive is told to be disabled.
+
+        Parameters
+        ----------
+        missed
+            Ticks that were missed just before it.
+        report
+            Whether the drive has said in this tick that it is enabled; None if it has said nothing.
+        position
+            This tick's sample in axis unit; None if there is none.
+        velocity
+            Estimated velocity, in axis unit/s; looked at in the first tick only.
+        """
+        if self._ticks_told is None:  # the command leaves at the end of this tick
+            self._ticks_told = 0
+            self._reported = self._reported if report is None else report
+            self.motion.begin(velocity)
+        else:
+            self._ticks_told += 1 + missed
+            self._take_report(missed, report)
+        self.motion.look(missed, position)
+
+    def take_over(self, former: "DisabledDriveWatch") -> None:
+        """Know what a former watch on the same drive knew: the settings may have changed, the drive has not."""
+        for name in (
+            "_reported", "_ticks_disabled", "_ticks_enabled", "_ticks_silent", "_ticks_told",
+        ):  # fmt: skip
+            setattr(self, name, getattr(former, name))
+        self.motion.take_over(former.motion)
+
+    def _take_report(self, missed: int, report: bool | None) -> None:
+        if report is None:
+            self._ticks_silent += 1 + missed
+        else:
+            self._reported, self._ticks_silent = report, 0
+        if self._ticks_silent >= self._silence_allowed:
+            return
+        if self._reported:
+            self._ticks_enabled += 1  # a tick that was missed told the drive nothing
+            self._ticks_disabled = 0
+        elif self._reported is False:
+            self._ticks_disabled += 1
+            if self._ticks_disabled >= self._patience:
+                self._ticks_enabled = 0
+
+    @property
+    def not_disabled(self) -> bool:
+        """Whether the drive has reported for too long that it is enabled, and has not reported otherwise since."""
+        return bool(self._ticks_told is not None and self._reported and self._ticks_enabled > self._patience)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the drive, once told to disable, still has time to report it; a silent one is not waited for."""
+        return bool(self._reported and self._ticks_silent < self._silence_allowed and not self.not_disabled)
+
+    @property
+    def seen_enabled(self) -> bool:
+        """Whether the last that the drive has said is that it is enabled, however long ago."""
+        return bool(self._reported)
+
+    @property
+    def told_ms(self) -> float:
+        """How long ago the drive was told to disable, in ms; 0 while it is told to be enabled."""
+        return 1e3 * self._period_s * (self._ticks_told or 0)
+
+    @property
+    def enabled_ms(self) -> float:
+        """How long it has reported since then that it is enabled, in ms."""
+        return 1e3 * self._period_s * self._ticks_enabled
+
+    @property
+    def moved(self) -> float | None:
+        """How far the axis has moved since then beyond what coasting explains, in axis unit; None: nothing shows it."""
+        return self.motion.moved

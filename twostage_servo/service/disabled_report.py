@@ -1,0 +1,54 @@
+"""Tells the log of a disabled axis what must not go unseen, again and again for as long as it lasts."""
+
+from typing import TYPE_CHECKING
+
+import structlog
+
+if TYPE_CHECKING:
+    from twostage_servo.axis.axis import Axis
+    from twostage_servo.axis.trips import TripCode
+
+REPEATED_AFTER_S = 10.0
+"""Time between two lines about the same, in s."""
+
+
+class DisabledReport:
+    """Looks at what lasts on the drive of an axis, and at motion while it is disabled.
+
+    Parameters
+    ----------
+    name
+        The axis' name.
+    period_s
+        Length of a tick in s.
+    """
+
+    def __init__(self, name: str, period_s: float) -> None:
+        self._log = structlog.get_logger().bind(axis=name)
+        self._every = max(1, round(REPEATED_AFTER_S / period_s))
+        self._next: dict[TripCode, int] = {}
+        self._moved: float | None = None
+        self._next_motion = 0
+
+    def report(self, tick_index: int, axis: "Axis") -> None:
+        """Report what is so in this tick, unless it has been told of late."""
+        lasting = axis.lasting
+        if lasting or self._next:
+            self._next = {one.code: self._next.get(one.code, tick_index + self._every) for one in lasting}
+        for one in lasting:  # the first line is that of the trip
+            if tick_index >= self._next[one.code]:
+                self._next[one.code] = tick_index + self._every
+                text = "the trip lasts"
+                self._log.error(text, tick=tick_index, code=one.code, cause=one.cause, next_action=one.next_action)
+        self._report_motion(tick_index, axis)
+
+    def _report_motion(self, tick_index: int, axis: "Axis") -> None:
+        moved = axis.disabled.moved
+        if moved is None:
+            self._moved = None
+            return
+        limit = axis.settings.limits.innovation
+        if self._moved is None or (tick_index >= self._next_motion and abs(moved - self._moved) > limit):
+            self._moved, self._next_motion = moved, tick_index + self._every
+            text = "the axis moves while its drive is told to be disabled"
+            self._log.warning(text, tick=tick_index, moved=round(moved, 6), unit=axis.settings.unit)
