@@ -408,9 +408,10 @@ TICKS = {
 }
 
 
-@pytest.mark.parametrize("tick_ms", TICKS)
-@pytest.mark.parametrize("heartbeat_ms", [5.0, 100.0, 290.0])
-@pytest.mark.parametrize("bit", [True, False])
+@pytest.mark.parametrize(
+    ("tick_ms", "heartbeat_ms", "bit"),
+    [*((tick_ms, heartbeat_ms, True) for tick_ms in TICKS for heartbeat_ms in (5.0, 290.0)), (10.0, 100.0, False)],
+)
 def test_arming_and_disarming_at_any_moment_is_no_false_alarm(
     tick_ms: float, heartbeat_ms: float, *, bit: bool
 ) -> None:
@@ -419,7 +420,7 @@ def test_arming_and_disarming_at_any_moment_is_no_false_alarm(
     overrides += [f"simulation.feedback_period_ms={tick_ms}"]
 
     async def script(world: World) -> None:
-        for n in range(25):
+        for n in range(12):
             await world.until(lambda: world.axis.ready_to_arm)
             world.axis.arm()
             await world.seconds(0.037 * (n % 7) + 0.25)

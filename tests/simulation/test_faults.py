@@ -77,6 +77,7 @@ def test_a_change_to_what_is_already_so_changes_nothing(
         ({"effort_limit": -1.0}, ValueError),
         ({"effort_limit": math.nan}, ValueError),
         ({"load": math.inf}, ValueError),
+        ({"effort_while_disabled": math.nan}, ValueError),
     ],
 )
 def test_a_fault_that_makes_no_sense_is_refused_and_changes_nothing(
@@ -150,6 +151,58 @@ def test_the_effort_is_clipped_on_both_sides_and_comes_back(profile: DriveProfil
         if command is not None:
             bench.command(at_s, command)
         assert bench.drive.effort == acts
+
+
+def test_a_drive_that_stays_enabled_obeys_neither_enable_nor_its_time_out(profile: DriveProfile) -> None:
+    bench = Bench(profile, feedback="cyclic", command_timeout_ms=20.0)
+    bench.command(0.0, enable=False)
+    bench.change(0.01, stays_enabled=True)  # comes on by itself
+    assert (bench.drive.enabled, bench.drive.effort) == (True, 0.0)
+    bench.command(0.02, 1.5, enable=False)
+    told, state = states_told(bench, 0.1)
+    assert (told.enabled, told.fault, state, bench.drive.effort) == (True, False, "Operation enabled", 1.5)
+    assert bench.drive.counters.command_timeouts == 0
+    bench.change(0.11, safe_torque_off=True)
+    assert (bench.drive.enabled, bench.drive.effort) == (False, 0.0)
+    bench.command(0.12, 1.0, enable=False)
+    assert not bench.drive.enabled
+    bench.change(0.13, safe_torque_off=False)
+    bench.command(0.14, 1.0, enable=False)
+    assert (bench.drive.enabled, bench.drive.effort) == (True, 1.0)
+    bench.change(0.15, stays_enabled=False)
+    bench.command(0.16, 1.0, enable=False)
+    assert (bench.drive.enabled, bench.drive.effort) == (False, 0.0)
+
+
+def test_a_drive_that_stays_enabled_and_ignores_effort_goes_on_with_the_one_it_had(profile: DriveProfile) -> None:
+    bench = driven(profile, effort=1.5)
+    bench.change(0.01, stays_enabled=True, ignores_effort=True)
+    bench.command(0.02, 0.0, enable=False)
+    bench.cycle(0.05)
+    assert [bench.drive.position, bench.drive.velocity] == pytest.approx(motion((0.05, 1.5)))
+
+
+def test_an_axis_can_move_though_its_drive_is_off_and_says_so(profile: DriveProfile) -> None:
+    bench = Bench(profile, feedback="cyclic")
+    bench.change(0.0, effort_while_disabled=0.5)
+    told, state = states_told(bench, 0.1)
+    assert (told.enabled, state) == (False, "Ready to switch on")
+    assert [bench.drive.position, bench.drive.velocity] == pytest.approx(motion((0.1, 0.5)))
+    bench.enable(0.1, effort=2.0)
+    assert bench.drive.effort == 2.0
+    bench.command(0.1, enable=False)
+    assert bench.drive.effort == 0.5
+    bench.change(0.1, effort_while_disabled=0.0)
+    assert bench.drive.effort == 0.0
+
+
+def test_a_heartbeat_can_say_another_state_than_the_true_one(profile: DriveProfile) -> None:
+    bench = Bench(profile, feedback="cyclic", heartbeat_ms=20.0)
+    bench.change(0.0, heartbeat_state=4)
+    told, state = states_told(bench, 0.0)
+    assert (told.enabled, told.fault, state) == (False, False, "Fault")
+    bench.change(0.01, heartbeat_state=None)
+    assert states_told(bench, 0.02)[1] == "Ready to switch on"
 
 
 def test_a_drive_that_ignores_effort_keeps_the_one_it_had_but_obeys_enable(profile: DriveProfile) -> None:

@@ -18,7 +18,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     faults = verbs.add_parser(
         "faults",
         help="inject every fault into this axis in simulated time: how it reacts, how far it travels",
-        description="Inject 54 faults of bus, encoder, drive, host, operator and disk into the running service, in "
+        description="Inject 57 faults of bus, encoder, drive, host, operator and disk into the running service, in "
         "six phases of a move, the severe ones while homing and jogging as well, in simulated time on the axis of a "
         "configuration. Shows the reaction, and the travel that it costs against what the limits allow. Five faults "
         "need real processes and real time; --simulated leaves them out.",

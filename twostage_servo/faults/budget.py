@@ -198,6 +198,22 @@ class Budget:
             saturated_s + self.noticing_s(self.design.ticks(limits.effort_saturation_ms)), limits.acceleration
         )
 
+    def stays_enabled(self) -> float:
+        """Return what a drive costs that stays enabled when the axis has been disarmed, and obeys the effort of 0.
+
+        The axis brakes, and then coasts from the speed that counts as standstill.
+        """
+        coasting = self.design.rest_velocity / (self._pole * (1.0 - MODEL_ERROR))
+        return self.stopping(self.noticing_s(0), self.limits.acceleration) + coasting
+
+    def moved_while_disabled(self, gates: float) -> float:
+        """Return the way of an axis that something moves by so many innovation limits, as far as its plant is known."""
+        return gates * self.limits.innovation * (1.0 + MODEL_ERROR) / (1.0 - MODEL_ERROR)
+
+    def contradicted(self) -> float:
+        """Return what a heartbeat costs that contradicts the feedback: it is believed after three times its limit."""
+        return self.coasting(3.0 * self.limits.heartbeat_ms / 1e3 + self.noticing_s(1))
+
     def runaway(self, noticed_s: float) -> float:
         """Return the move's own way, then what the following error allows, then until a braking counts as failed."""
         speed = self.reference.peak_speed(60.0)

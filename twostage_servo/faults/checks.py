@@ -4,7 +4,9 @@ import itertools
 from collections.abc import Awaitable, Callable, Sequence
 
 from twostage_servo.axis.state import LATCHED, State
+from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.two_stage import SPEED_TOLERANCE
+from twostage_servo.faults.drive_faults import creep
 from twostage_servo.faults.world import Sample, World
 
 Check = Callable[[World], Awaitable[str | None]]
@@ -197,3 +199,36 @@ def _largest_step(samples: Sequence[Sample]) -> float:
 async def log_dropped(world: World) -> str | None:
     """Check that lines were dropped and counted, and nothing waited for them."""
     return None if world.log is not None and world.log.dropped > 0 else "no line was counted as dropped"
+
+
+async def still_enabled_is_told(world: World) -> str | None:
+    """Check that a drive that stays enabled is told as long as it lasts, and that no reset is possible until then."""
+    axis = world.axis
+    if TripCode.DRIVE_NOT_DISABLED not in axis.trips:
+        return f"the trips are {', '.join(axis.trips) or 'none'}"
+    if (code := world.ask({"op": "reset"})) != TripCode.DRIVE_NOT_DISABLED:
+        return f"`reset` was {f'refused: {code}' if code else 'carried out'} while the drive is enabled"
+    world.change(stays_enabled=False)
+    await world.until(lambda: not axis.lasting, _PATIENCE_S)
+    if code := world.ask({"op": "reset"}):
+        return f"`reset` was refused when the drive was disabled: {code}"
+    return None
+
+
+async def told_how_far(world: World) -> str | None:
+    """Check that motion while the drive is off is told with its distance, and trips nothing."""
+    axis, gate = world.axis, world.axis.settings.limits.innovation
+    if axis.state is State.HOLDING:  # an axis that was armed in the meantime is disarmed once more
+        axis.disarm()
+        await world.seconds(_PATIENCE_S)
+        creep(world)
+    place = world.place() if axis.disabled.moved is None else world.place() - axis.disabled.moved
+    await world.until(lambda: world.drive.faults.effort_while_disabled == 0.0, 1e3)
+    await world.seconds(_PATIENCE_S)
+    if axis.trip is not None:
+        return f"it tripped: {axis.trip.cause}"
+    moved = axis.disabled.moved
+    if moved is None:
+        return "nothing tells that the axis has moved"
+    apart = abs(world.place() - place - moved)
+    return None if apart <= gate else f"it is told to have moved by {moved:.4g}, which is off by {apart:.4g}"

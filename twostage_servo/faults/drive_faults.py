@@ -4,13 +4,21 @@ import math
 from collections.abc import Callable
 from random import Random
 
+from twostage_servo.axis.state import State
 from twostage_servo.faults.world import World
+from twostage_servo.ticks import Tick
 
 LARGEST_JUMP = 100.0
 """How far an encoder jumps at most, as a multiple of the innovation limit."""
 
 WEAKNESS = 0.95
 """Share of the velocity that a plant which is too weak reaches at the effort limit."""
+
+FAULT_STATE = "fault"
+"""What a heartbeat says that contradicts its feedback, in the terms of CiA 402."""
+
+CREEP_GATES = 4.0
+"""How far an axis moves while its drive is off, as a multiple of the innovation limit."""
 
 Injection = Callable[[World, Random], None]
 
@@ -146,3 +154,44 @@ def roll_over_ahead(world: World) -> None:
     place = world.drive.position
     offset = period / 2.0 - place - world.roll_over_in
     world.change(measure=lambda position: position + offset)
+
+
+def stays_enabled(world: World, _: Random) -> None:
+    """Let the operator disarm the axis, and the drive be enabled for good, though it obeys the effort."""
+    world.axis.disarm()
+    _once_disarmed(world, lambda: world.change(stays_enabled=True))
+
+
+def moves_while_disabled(world: World, _: Random) -> None:
+    """Let the operator disarm the axis, and something move it then though its drive is off: slowly, and for a way."""
+    world.axis.disarm()
+    _once_disarmed(world, lambda: creep(world))
+
+
+def creep(world: World) -> None:
+    """Let the axis move at half the speed that counts as standstill, for some widths of the innovation limit."""
+    settings, speed = world.axis.settings, 0.5 * world.axis.design.rest_velocity
+    world.change(effort_while_disabled=world.heading * speed * settings.plant.pole / settings.plant.gain)
+    world.later(CREEP_GATES * settings.limits.innovation / speed, lambda: world.change(effort_while_disabled=0.0))
+
+
+def contradiction(world: World, _: Random) -> None:
+    """Let the heartbeat say that the drive has a fault, while the feedback says that it has none."""
+    texts = world.station.profile.state_texts
+    world.change(heartbeat_state=next(value for value, text in texts.items() if text.lower() == FAULT_STATE))
+
+
+def _once_disarmed(world: World, act: Callable[[], None]) -> None:
+    """Do something as the last command of an enabled axis acts, at the end of the tick before it is told to disable."""
+    if world.axis.state is State.DISARMED:
+        act()
+        return
+    done = False
+
+    def look(_: Tick) -> None:
+        nonlocal done
+        if not done and world.axis.state is State.DISARMED:
+            done = True
+            act()
+
+    world.service.publishers.append(look)

@@ -23,7 +23,9 @@ from twostage_servo.faults.checks import (
     only_off_the_switch,
     refused_all,
     rejected_some,
+    still_enabled_is_told,
     still_seen,
+    told_how_far,
     told_in_time,
     within_jam_effort,
 )
@@ -107,10 +109,14 @@ class Fault:
         Whether a second move follows: a fault that does not show while the axis comes to rest shows in the next one.
     idle_bound
         The travel that it may cost if it begins while the axis is disarmed, if that is another one.
+    refused_bound
+        The travel that it may cost where a move is refused, if it shows at all.
     needs
         Whether the axis' drive and settings have what the fault is about.
     velocity_limit
         Whether the move runs at the velocity limit.
+    shows_s
+        How long after the axis has come to rest it may take to show, in s, on the axis of a configuration.
     then
         The more severe reaction in which the expected one may end, where the fault keeps it from working.
     note
@@ -128,8 +134,10 @@ class Fault:
     prepare: Callable[[World], None] | None = None
     again: bool = False
     idle_bound: Bound | None = None
+    refused_bound: Bound | None = None
     needs: Callable[[DriveProfile, ProtocolSettings], bool] = lambda *_: True
     velocity_limit: bool = False
+    shows_s: Callable[[Config], float] = lambda _: 0.0
     then: str = ""
     note: str = ""
 
@@ -138,7 +146,7 @@ class Fault:
         if phase is Phase.IDLE and self.idle_bound is not None:
             return self.idle_bound
         refused_to_move = expected == REFUSED and self.expected != REFUSED
-        return _unnoticed if refused_to_move else self.bound
+        return (self.refused_bound or _unnoticed) if refused_to_move else self.bound
 
     def expectation(self, phase: Phase, config: Config) -> str:
         """Return the letter of the reaction that is expected in a phase, on the axis of a configuration."""
@@ -187,6 +195,18 @@ def _command_timeout(budget: Budget) -> float:
 
 def _retargeted(budget: Budget) -> float:
     return budget.followed() + host_faults.LARGEST_RETARGET * budget.reference.length()
+
+
+def _disarmed_and_moved(budget: Budget) -> float:
+    return budget.stopping(budget.noticing_s(0), budget.limits.acceleration) + budget.moved_while_disabled(
+        _D.CREEP_GATES
+    )
+
+
+def _contradicts(profile: DriveProfile, _: ProtocolSettings) -> bool:
+    return profile.heartbeat_id is not None and _D.FAULT_STATE in {
+        text.lower() for text in profile.state_texts.values()
+    }
 
 
 def _stalled(duration_s: float) -> Bound:
@@ -313,5 +333,17 @@ TABLE: tuple[Fault, ...] = (
     Fault(51, "disk full", _H.full_disk, TOLERATED, _unnoticed),
     Fault(52, "log sink blocks", _H.blocked_log, TOLERATED, _unnoticed, check=log_dropped),
     Fault(53, "control socket flooded, slow readers", _H.flood, TOLERATED, _unnoticed),
+    # A drive that lies about its state
+    Fault(55, "drive stays enabled after `disarm`", _D.stays_enabled, DISABLED,
+          lambda budget: budget.stays_enabled(), idle=DISABLED, phases=EVERYWHERE, check=still_enabled_is_told,
+          shows_s=lambda config: config.axis.arming_timeout_ms / 1e3 + 4.0 * config.service.tick_ms / 1e3,
+          needs=lambda _, protocol: protocol.feedback.enabled is not False),
+    Fault(56, "axis moves after `disarm`, its drive is off", _D.moves_while_disabled,
+          {**dict.fromkeys((*MOVING, *SEARCHING), HELD), Phase.HOLDING: REFUSED}, _disarmed_and_moved, idle=TOLERATED,
+          idle_bound=lambda budget: budget.followed() + budget.moved_while_disabled(_D.CREEP_GATES),
+          refused_bound=_disarmed_and_moved,
+          phases=EVERYWHERE, check=told_how_far, note="it cannot be told from a push by hand: told, not tripped"),
+    Fault(57, "heartbeat says fault, feedback does not", _D.contradiction, DISABLED,
+          lambda budget: budget.contradicted(), idle=DISABLED, phases=EVERYWHERE, needs=_contradicts),
 )  # fmt: skip
 """All but the faults that need processes (37, 38, 39, 42, 54), and those of the configuration (47, 48)."""

@@ -216,12 +216,11 @@ class SimulatedDrive:
         if not command.enable:  # also None: a drive without Enable has no edge to wait for
             self._may_enable = True
             self._fault_code = self._faults.fault_code
-        if command.enable is False:
-            if not self._faults.stays_enabled:
-                self._disable()
+        if command.enable is False and not self._faults.stays_enabled:
+            self._disable()
         elif self._fault_code != NO_FAULT or self._faults.safe_torque_off:
             self._may_enable = False  # the edge came too early
-        elif self._may_enable:
+        elif self._may_enable or self._faults.stays_enabled:
             self._enabled = True
             self._arriving.append((now_s + self._delay_s, command.effort))
 

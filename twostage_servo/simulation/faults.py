@@ -32,8 +32,9 @@ class DriveFaults:
     heartbeat_state : int or None
         The state that the heartbeat reports, whatever it is. None: the true one.
     stays_enabled : bool
-        The power stage is on, also if it was off, with the effort that acts at the moment; neither Enable nor the
-        command time-out switches it off, but a fault, safe torque off and a reboot do.
+        The power stage is on, also if it was off, and follows the effort of each command whatever its Enable; with
+        ``ignores_effort`` it goes on with the one that it had. Neither Enable nor the command time-out switches it off;
+        a fault, safe torque off and a reboot do.
     effort_while_disabled : float
         Effort that acts while the drive is disabled and says so, effort unit.
     effort_limit : float or None

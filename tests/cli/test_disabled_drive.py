@@ -1,0 +1,135 @@
+"""What the operator's commands say, and end with, when a drive does not report that it is disabled."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import pytest
+
+from tests.service.rig import World, simulate
+from twostage_servo.axis.state import State
+from twostage_servo.cli import operate, serve
+from twostage_servo.cli.client import Answer
+from twostage_servo.cli.main import main
+
+Snapshots = dict[str, Answer]
+
+
+@pytest.fixture(scope="module")
+def snapshots() -> Snapshots:
+    """What a service tells of an axis that is disarmed, and of a drive that does not obey."""
+    told: Snapshots = {}
+
+    def tell(name: str, world: World) -> None:
+        told[name] = json.loads(json.dumps(world.service.snapshot()))
+
+    async def script(world: World) -> None:
+        await world.armed()
+        world.axis.disarm()
+        tell("disabling", world)
+        await world.seconds(0.1)
+        tell("disabled", world)
+        await world.armed()
+        world.drive.change(world.ticks._index * 0.01 + 0.001, stays_enabled=True, load=-1.0)
+        world.axis.disarm()
+        await world.seconds(0.1)
+        world.wire.disturb = lambda sender, message, _: [] if sender == "drive" else [(0.0, message)]
+        await world.seconds(0.1)
+        tell("silent", world)
+        world.wire.disturb = None
+        await world.until(lambda: world.state() is State.TRIPPED)
+        await world.seconds(0.5)
+        tell("not disabled", world)
+        world.drive.change(world.ticks._index * 0.01 + 0.001, stays_enabled=False)
+        await world.seconds(0.1)
+        tell("tripped", world)
+
+    simulate(script)
+    return told
+
+
+class Told:
+    """A client whose service answers with what was told, one after the other; the last one for ever."""
+
+    def __init__(self, answers: list[Answer]) -> None:
+        self._answers = answers
+        self.requests: list[dict[str, Any]] = []
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        pass
+
+    def request(self, **fields: Any) -> Answer:
+        self.requests.append(fields)
+        return self._answers[0] if len(self._answers) == 1 else self._answers.pop(0)
+
+    def watch(self, _: int) -> Iterator[Answer]:
+        while len(self._answers) > 1:
+            yield self._answers.pop(0)
+        yield self._answers[0]
+
+
+def run(monkeypatch: pytest.MonkeyPatch, verb: str, *answers: Answer) -> tuple[int, Told]:
+    client = Told(list(answers))
+    monkeypatch.setattr(operate, "_connect", lambda _: client)
+    return main([verb]), client
+
+
+@pytest.mark.parametrize("verb", ["disarm", "reset", "stop"])
+def test_a_command_waits_until_the_drive_is_seen_to_be_off(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], snapshots: Snapshots, verb: str
+) -> None:
+    disabling, disabled = snapshots["disabling"], snapshots["disabled"]
+    code, client = run(monkeypatch, verb, disabling, disabling, disabling, disabled)
+    assert code == 0
+    assert [request["op"] for request in client.requests] == [verb, "status"]
+    assert capsys.readouterr().out.startswith("x: disarmed at 0.000 mm\n")
+
+
+@pytest.mark.parametrize("verb", ["disarm", "reset", "stop", "status"])
+def test_a_drive_that_does_not_obey_is_told_and_ends_each_command_with_3(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], snapshots: Snapshots, verb: str
+) -> None:
+    code, _ = run(monkeypatch, verb, snapshots["disabling"], snapshots["disabling"], snapshots["not disabled"])
+    if verb == "status":
+        code, _ = run(monkeypatch, verb, snapshots["not disabled"])
+    assert code == 3
+    out = capsys.readouterr().out
+    assert "mm while disabled" in out
+    assert "trip drive_not_disabled: the drive reports that it is enabled" in out
+    assert "next: Switch the drive's power off" in out
+    assert "lasts drive_not_disabled: the drive reports that it is enabled" in out
+
+
+def test_disarm_does_not_take_the_silence_of_a_drive_that_was_enabled_for_an_answer(
+    monkeypatch: pytest.MonkeyPatch, snapshots: Snapshots
+) -> None:
+    assert snapshots["silent"]["drive"] == {"enabled": True, "disabling": False, "moved": None, "lasting": []}
+    assert run(monkeypatch, "disarm", snapshots["silent"])[0] == 3
+
+
+def test_disarm_of_an_axis_that_has_tripped_is_done_when_its_drive_is_off(
+    monkeypatch: pytest.MonkeyPatch, snapshots: Snapshots
+) -> None:
+    assert snapshots["tripped"]["trip"]["code"] == "drive_not_disabled"
+    assert run(monkeypatch, "disarm", snapshots["tripped"])[0] == 0
+    assert run(monkeypatch, "status", snapshots["tripped"])[0] == 3
+
+
+@pytest.mark.parametrize(("not_disabled", "code"), [([], 0), (["x"], 3)])
+def test_run_ends_with_3_if_a_drive_was_not_seen_to_be_disabled(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, not_disabled: list[str], code: int
+) -> None:
+    async def serve_nothing(service: Any, *_: object) -> None:
+        service.not_disabled = not_disabled
+
+    monkeypatch.setattr(serve, "_serve", serve_nothing)
+    config = Path(__file__).parents[2] / "config" / "two_processes.toml"
+    arguments = ["--config", str(config), "--set", f"service.socket={tmp_path / 'socket'}"]
+    assert main(["run", *arguments]) == code
