@@ -198,13 +198,14 @@ class Budget:
             saturated_s + self.noticing_s(self.design.ticks(limits.effort_saturation_ms)), limits.acceleration
         )
 
-    def stays_enabled(self) -> float:
-        """Return what a drive costs that stays enabled when the axis has been disarmed, and obeys the effort of 0.
+    def disarmed(self) -> float:
+        """Return what an axis goes when it is disarmed: it brakes, then coasts from what counts as standstill.
 
-        The axis brakes, and then coasts from the speed that counts as standstill.
+        On a plant that is off its model a steep stop swings back, but it never costs more than coasting would.
         """
-        coasting = self.design.rest_velocity / (self._pole * (1.0 - MODEL_ERROR))
-        return self.stopping(self.noticing_s(0), self.limits.acceleration) + coasting
+        rest = self.design.rest_velocity / (self._pole * (1.0 - MODEL_ERROR))
+        noticed_s = self.noticing_s(0)
+        return max(self.stopping(noticed_s, self.limits.acceleration), self.coasting(noticed_s)) + rest
 
     def moved_while_disabled(self, gates: float) -> float:
         """Return the way of an axis that something moves by so many innovation limits, as far as its plant is known."""

@@ -198,9 +198,7 @@ def _retargeted(budget: Budget) -> float:
 
 
 def _disarmed_and_moved(budget: Budget) -> float:
-    return budget.stopping(budget.noticing_s(0), budget.limits.acceleration) + budget.moved_while_disabled(
-        _D.CREEP_GATES
-    )
+    return budget.disarmed() + budget.moved_while_disabled(_D.CREEP_GATES)
 
 
 def _contradicts(profile: DriveProfile, _: ProtocolSettings) -> bool:
@@ -335,7 +333,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(53, "control socket flooded, slow readers", _H.flood, TOLERATED, _unnoticed),
     # A drive that lies about its state
     Fault(55, "drive stays enabled after `disarm`", _D.stays_enabled, DISABLED,
-          lambda budget: budget.stays_enabled(), idle=DISABLED, phases=EVERYWHERE, check=still_enabled_is_told,
+          lambda budget: budget.disarmed(), idle=DISABLED, phases=EVERYWHERE, check=still_enabled_is_told,
           shows_s=lambda config: config.axis.arming_timeout_ms / 1e3 + 4.0 * config.service.tick_ms / 1e3,
           needs=lambda _, protocol: protocol.feedback.enabled is not False),
     Fault(56, "axis moves after `disarm`, its drive is off", _D.moves_while_disabled,
