@@ -11,7 +11,7 @@ from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import MODEL_ERROR, design_axis
 from twostage_servo.axis.disabled_drive import DisabledDriveWatch
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.messages import Feedback, Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 
@@ -221,3 +221,15 @@ def test_in_any_order_a_drive_that_stays_enabled_ends_in_the_trip_and_cannot_be_
         rig.tick()
     rig.axis.reset()
     assert (rig.state(), rig.axis.trip) == (State.DISARMED, None)
+
+
+def test_a_report_that_has_waited_says_nothing_of_now() -> None:
+    """Neither that the drive is still enabled, nor that it is off: the time that it has goes by the reports of now."""
+    rig = AxisRig()
+    rig.seconds(0.05)
+    drive = rig.axis.drive
+    for late in (True, False):
+        rig.axis.begin_tick(rig.tick_index + 1, 0)
+        rig.counter += 1
+        rig.axis.take_feedback(Feedback(0.0, rig.counter % 16, enabled=True, late=late))
+        assert drive.enabled_report is (None if late else True)
