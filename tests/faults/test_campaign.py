@@ -1,10 +1,16 @@
 """The campaign itself: what it injects is met, and what it reports can fail."""
 
+import asyncio
 import dataclasses
 import json
 import re
+import resource
+import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import FrameType
+from typing import Any, cast
 
 import pytest
 
@@ -21,7 +27,10 @@ from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.report import as_json, as_markdown, as_page, as_text
 from twostage_servo.faults.table import MEANINGS, TABLE, Fault, Phase
 from twostage_servo.faults.world import World
+from twostage_servo.service.ending_signals import EndingSignals
 from twostage_servo.service.log import open_log
+from twostage_servo.service.socket_file import SocketFile
+from twostage_servo.service.trip_files import TripFiles
 
 pytestmark = pytest.mark.long
 
@@ -36,6 +45,8 @@ SHARE = [
     (45, Phase.HOLDING), (46, Phase.CRUISING), (49, Phase.SETTLING), (51, Phase.CRUISING), (52, Phase.CRUISING),
     (53, Phase.CRUISING), (12, Phase.HOLDING),
     (55, Phase.IDLE), (55, Phase.CRUISING), (56, Phase.HOLDING), (57, Phase.JOGGING),
+    (61, Phase.CRUISING), (61, Phase.HOLDING), (62, Phase.CRUISING), (63, Phase.IDLE), (63, Phase.CRUISING),
+    (64, Phase.JOGGING), (65, Phase.HOLDING),
 ]  # fmt: skip
 """One or two cells of each kind of fault; continuous integration runs them all."""
 
@@ -71,7 +82,7 @@ def test_what_happens_on_a_bus_with_can_fd_is_met_as_well(number: int) -> None:
 
 
 def test_the_table_holds_every_fault_that_needs_neither_processes_nor_a_configuration_of_its_own() -> None:
-    assert {fault.number for fault in TABLE} == set(range(1, 58)) - {37, 38, 39, 42, 47, 48, 54}
+    assert {fault.number for fault in TABLE} >= {*range(1, 58), *range(61, 66)} - {37, 38, 39, 42, 47, 48, 54}
     assert {phase for fault in TABLE for phase in fault.phases} == set(Phase)
     names = [(fault.number, fault.name) for fault in TABLE]
     assert len(set(names)) == len(names)
@@ -265,6 +276,57 @@ def test_a_switch_that_nobody_gets_off_is_seen(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setattr(Axis, "move_to", move_if_reset)
     assert "off the switch was refused" in run(34, Phase.CRUISING).wrong
+
+
+def cell_of(number: int, phase: Phase = Phase.CRUISING) -> Cell:
+    fault = next(fault for fault in TABLE if fault.number == number)
+    return Campaign(load(None), seed=11).run(fault, phase)
+
+
+def test_a_service_that_goes_on_after_a_signal_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(EndingSignals, "_begin_to_end", lambda *_: None)
+    cell = cell_of(61)
+    assert not cell.met
+    assert cell.wrong.endswith("the service goes on")
+
+
+def test_a_second_signal_that_cuts_the_braking_short_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    catch = EndingSignals._catch
+
+    def impatient(signals: EndingSignals, number: int, frame: FrameType | None) -> None:
+        if signals.received is not None and signals._end is not None:
+            service = cast("Any", signals._end).__self__
+            asyncio.get_running_loop().call_soon(service.ticks.stop)
+        catch(signals, number, frame)
+
+    monkeypatch.setattr(EndingSignals, "_catch", impatient)
+    assert not cell_of(61).met
+
+
+def test_a_trip_that_needs_a_thread_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TripFiles, "start", lambda _: None)
+    cell = cell_of(63)
+    assert not cell.met
+    assert "can't start new thread" in cell.wrong
+
+
+def test_a_trip_for_which_there_is_no_memory_and_no_word_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TripFiles, "fail", lambda *_: None)
+    assert "is told: nothing" in cell_of(64).wrong
+    assert "is told: nothing" in cell_of(62).wrong
+
+
+def test_a_socket_that_is_not_made_again_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SocketFile, "_bind_again", lambda _: None)
+    assert "a new client cannot connect" in cell_of(65).wrong
+
+
+def test_the_process_gets_back_what_a_fault_has_taken_from_it() -> None:
+    before = threading.Thread.start, resource.getrlimit(resource.RLIMIT_NOFILE), signal.getsignal(signal.SIGHUP)
+    for number in range(61, 66):
+        assert cell_of(number).met
+    after = threading.Thread.start, resource.getrlimit(resource.RLIMIT_NOFILE), signal.getsignal(signal.SIGHUP)
+    assert before == after
 
 
 def test_the_more_severe_trip_gives_the_letter(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -382,6 +382,8 @@ class _Script:
                 world.axis.move_to(world.target, world.velocity)
             except Refused as refused:
                 self._observed, self._code = REFUSED, refused.code
+        elif world.axis.trip is None:
+            self._observed, self._code = REFUSED, "ending"
         await self._follow(world)
 
     async def _follow(self, world: World) -> None:

@@ -1,6 +1,7 @@
 """The faults that the axis must meet, as data: what is injected, in which phases, what is expected, and its budget."""
 
 import enum
+import signal
 from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
@@ -8,7 +9,7 @@ from random import Random
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
 from twostage_servo.config import Config
-from twostage_servo.faults import bus_faults, drive_faults, host_faults
+from twostage_servo.faults import bus_faults, drive_faults, host_faults, resource_faults
 from twostage_servo.faults.budget import Budget
 from twostage_servo.faults.checks import (
     Check,
@@ -242,7 +243,16 @@ def _after_the_holder(config: Config, phase: Phase) -> str:
     return policy if phase in MOVING else TOLERATED
 
 
-_D, _H = drive_faults, host_faults
+def _after_a_signal(_: Config, phase: Phase) -> str:
+    """Expect a controlled stop; of an axis at rest, that a service which is ending refuses what is asked next."""
+    return REFUSED if phase in {Phase.IDLE, Phase.HOLDING} else HELD
+
+
+def _ended(budget: Budget) -> float:
+    return budget.stopping(budget.noticing_s(0), budget.limits.acceleration)
+
+
+_D, _H, _R = drive_faults, host_faults, resource_faults
 
 TABLE: tuple[Fault, ...] = (
     # The bus
@@ -343,5 +353,19 @@ TABLE: tuple[Fault, ...] = (
           phases=EVERYWHERE, check=told_how_far, note="it cannot be told from a push by hand: told, not tripped"),
     Fault(57, "heartbeat says fault, feedback does not", _D.contradiction, DISABLED,
           lambda budget: budget.contradicted(), idle=DISABLED, phases=EVERYWHERE, needs=_contradicts),
+    # The process
+    *(
+        Fault(61, f"signal {number.name}, twice", _R.receive(number), _after_a_signal, _ended,
+              phases=EVERYWHERE, check=_R.ended_with_the_drive_disabled)
+        for number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1)
+    ),
+    Fault(62, "a trip, and no descriptor is left", _R.no_descriptor_left, DISABLED, _at_once, idle=REFUSED,
+          phases=EVERYWHERE, check=_R.told_that_no_descriptor_is_left),
+    Fault(63, "a trip, and no thread is to be had", _R.no_thread_left, DISABLED, _at_once, idle=REFUSED,
+          phases=EVERYWHERE, check=_R.wrote_the_trip),
+    Fault(64, "a trip, and no memory to write it", _R.no_memory_left, DISABLED, _at_once, idle=REFUSED,
+          phases=EVERYWHERE, check=_R.told_that_no_memory_is_left),
+    Fault(65, "control socket deleted", _R.delete_socket, TOLERATED, _unnoticed, phases=EVERYWHERE,
+          check=_R.is_served_again),
 )  # fmt: skip
 """All but the faults that need processes (37, 38, 39, 42, 54), and those of the configuration (47, 48)."""

@@ -7,7 +7,7 @@ import math
 import tempfile
 import threading
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
-from contextlib import asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -92,6 +92,8 @@ class World:
         The samples of the same run without the fault; the same as `samples` up to it.
     refusals
         Answers to what clients have asked: the code of each refusal, None for what was carried out.
+    held
+        What a fault has taken from the process, and gives back when the world ends at the latest.
     log
         A log that stands in for the usual one, with a reader that stands still until `log_released` is set.
     """
@@ -124,6 +126,7 @@ class World:
         self._tasks: set[asyncio.Task[None]] = set()
         self._socket: ControlSocket | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self.held = ExitStack()
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
 
     @property
@@ -169,8 +172,7 @@ class World:
     async def client(self) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
         """Connect to the service's control socket, which is served from the first client on."""
         if self._socket is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="twostage-servo-")
-            self._socket = control = ControlSocket(Path(self._folder.name) / "control.sock", self.service)
+            self._socket = control = ControlSocket(self.socket_path, self.service)
             self.service.publishers.append(lambda tick: control.publish(tick.index))
             await self._socket.start()
         reader, writer = await asyncio.open_unix_connection(str(self._socket.path), limit=1 << 20)
@@ -178,6 +180,18 @@ class World:
             yield reader, writer
         finally:
             writer.close()
+
+    @property
+    def folder(self) -> Path:
+        """A folder for files of this world, which goes with it."""
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="twostage-servo-")
+        return Path(self._folder.name)
+
+    @property
+    def socket_path(self) -> Path:
+        """The path of the control socket."""
+        return self.folder / "control.sock"
 
     def look_without_ticks(self, *_: object) -> None:
         """Look, once a period, whether what is waited for has come, after the service has ended."""
@@ -198,6 +212,7 @@ class World:
 
     async def close(self) -> None:
         """End the clients, and let the log's reader go on."""
+        self.held.close()
         for task in list(self._tasks):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
