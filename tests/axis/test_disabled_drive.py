@@ -20,6 +20,8 @@ PATIENCE = 52
 """500 ms of arming time-out, and two ticks."""
 SILENCE = 3
 """30 ms without feedback."""
+LONGEST_GAP = 10
+"""100 ms between two reports."""
 POLE = 14.0
 GATE = 0.5
 
@@ -32,15 +34,16 @@ def test_the_time_that_it_reports_to_be_enabled_adds_up(told: list[tuple[bool | 
     watch = DisabledDriveWatch(DESIGN)
     watch.look(0, None, None, 0.0)
     last: bool | None = None
-    enabled = disabled = silent = 0
+    enabled = disabled = silent = since = 0
     for report, ticks, missed in told:
         for _ in range(ticks):
             watch.look(missed, report, None, 0.0)
             silent = silent + 1 + missed if report is None else 0
-            last = last if report is None else report
-            if silent < SILENCE:
-                enabled += last is True
-                disabled = disabled + 1 if last is False else 0 if last else disabled
+            since += 1
+            if report is not None:
+                counted, since, last = min(since, LONGEST_GAP), 0, report
+                enabled += counted * report
+                disabled = 0 if report else disabled + counted
             if disabled >= PATIENCE:
                 enabled = 0
             assert watch.not_disabled == (last is True and enabled > PATIENCE)
@@ -233,3 +236,29 @@ def test_a_report_that_has_waited_says_nothing_of_now() -> None:
         rig.counter += 1
         rig.axis.take_feedback(Feedback(0.0, rig.counter % 16, enabled=True, late=late))
         assert drive.enabled_report is (None if late else True)
+
+
+def test_a_bus_that_is_held_up_is_no_drive_that_does_not_obey() -> None:
+    """Also where feedback may be as old as the time that the drive has: what comes at last may be from before."""
+    patient = design_axis(axis_settings(stale_feedback_ms=3000.0), PERIOD_S)
+    watch = DisabledDriveWatch(patient)
+    watch.release(True)
+    watch.look(0, True, 0.0, 0.0)
+    for _ in range(250):
+        watch.look(0, None, None, 0.0)
+        assert not watch.not_disabled
+    for _ in range(40):
+        watch.look(0, True, 0.0, 0.0)
+        assert not watch.not_disabled
+    watch.look(0, False, 0.0, 0.0)
+    assert not watch.waits
+
+
+@pytest.mark.parametrize("every", [1, 3, 10])
+def test_a_drive_that_reports_less_often_has_no_more_time(every: int) -> None:
+    watch = DisabledDriveWatch(design_axis(axis_settings(stale_feedback_ms=200.0), PERIOD_S))
+    ticks = 0
+    while not watch.not_disabled:
+        watch.look(0, True if ticks % every == 0 else None, 0.0, 0.0)
+        ticks += 1
+    assert PATIENCE < ticks - 1 <= PATIENCE + every

@@ -14,6 +14,9 @@ _SPEED_SAMPLES = 3
 _SAMPLES_BEYOND = 2
 """Samples in a row that are motion: one is a spike."""
 
+_LONGEST_GAP = 0.2
+"""Share of the drive's time that may lie between two reports and count in full."""
+
 _ROUND_TRIP_TICKS = 2
 """Ticks that a report needs in any case, beside the time that the drive has: until the command leaves, and back."""
 
@@ -118,7 +121,8 @@ class DisabledDriveWatch:
 
     The drive has ``axis.arming_timeout_ms`` to report that it is off. The time in which it reports that it is enabled
     adds up until it has reported for as long that it is disabled, so that one which enables itself again and again is
-    told as well. Time without a report does not count.
+    told as well. Time counts when the next report comes, up to a fifth of what the drive has: of a drive that is
+    silent, or whose bus is held up, nothing is known.
 
     Parameters
     ----------
@@ -136,8 +140,8 @@ class DisabledDriveWatch:
     """
 
     __slots__ = (
-        "_patience", "_period_s", "_reported", "_silence_allowed", "_ticks_disabled", "_ticks_enabled",
-        "_ticks_silent", "_ticks_told", "motion",
+        "_longest_gap", "_patience", "_period_s", "_reported", "_silence_allowed", "_ticks_disabled", "_ticks_enabled",
+        "_ticks_silent", "_ticks_since_report", "_ticks_told", "motion",
     )  # fmt: skip
 
     def __init__(self, design: AxisDesign, resolution: float = 0.0, report_period_ms: float = 0.0) -> None:
@@ -146,8 +150,9 @@ class DisabledDriveWatch:
         self._period_s = design.period_s
         self._patience = design.ticks(settings.arming_timeout_ms + report_period_ms) + _ROUND_TRIP_TICKS
         self._silence_allowed = design.ticks(max(settings.limits.stale_feedback_ms, report_period_ms))
+        self._longest_gap = max(1, design.ticks(report_period_ms or _LONGEST_GAP * settings.arming_timeout_ms))
         self._reported: bool | None = None  # what the drive said last
-        self._ticks_silent = 0
+        self._ticks_silent = self._ticks_since_report = 0
         self._ticks_told: int | None = None  # since it was told to disable; None while it is told to be enabled
         self._ticks_enabled = 0  # since then, in which it said that it is enabled
         self._ticks_disabled = 0  # in a row, in which it said that it is not
@@ -176,7 +181,7 @@ class DisabledDriveWatch:
             Estimated velocity, in axis unit/s; looked at in the first tick only.
         """
         if self._ticks_told is None:  # the command leaves at the end of this tick
-            self._ticks_told = 0
+            self._ticks_told = self._ticks_since_report = 0
             self._reported = self._reported if report is None else report
             self.motion.begin(velocity)
         else:
@@ -187,23 +192,23 @@ class DisabledDriveWatch:
     def take_over(self, former: "DisabledDriveWatch") -> None:
         """Know what a former watch on the same drive knew: the settings may have changed, the drive has not."""
         for name in (
-            "_reported", "_ticks_disabled", "_ticks_enabled", "_ticks_silent", "_ticks_told",
+            "_reported", "_ticks_disabled", "_ticks_enabled", "_ticks_silent", "_ticks_since_report", "_ticks_told",
         ):  # fmt: skip
             setattr(self, name, getattr(former, name))
         self.motion.take_over(former.motion)
 
     def _take_report(self, missed: int, report: bool | None) -> None:
+        self._ticks_since_report += 1  # a tick that was missed told the drive nothing
         if report is None:
             self._ticks_silent += 1 + missed
-        else:
-            self._reported, self._ticks_silent = report, 0
-        if self._ticks_silent >= self._silence_allowed:
             return
-        if self._reported:
-            self._ticks_enabled += 1  # a tick that was missed told the drive nothing
+        ticks = min(self._ticks_since_report, self._longest_gap)
+        self._reported, self._ticks_silent, self._ticks_since_report = report, 0, 0
+        if report:
+            self._ticks_enabled += ticks
             self._ticks_disabled = 0
-        elif self._reported is False:
-            self._ticks_disabled += 1
+        else:
+            self._ticks_disabled += ticks
             if self._ticks_disabled >= self._patience:
                 self._ticks_enabled = 0
 
