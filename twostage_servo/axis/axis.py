@@ -1,6 +1,5 @@
 """One axis: what an operator may ask of it; what it does then, tick by tick, is in the module ``machine``."""
 
-import itertools
 import math
 from typing import Literal
 
@@ -37,7 +36,7 @@ class Axis(Machine):
             design, counter_modulus, position_period, resolution, heartbeat=heartbeat, tells_enabled=tells_enabled
         )
         self.duration = MoveDuration(design)
-        self._move_numbers = itertools.count(1)
+        self._moves = 0
 
     # What the operator asks for --------------------------------------------------------------------------------------
 
@@ -233,7 +232,8 @@ class Axis(Machine):
             raise Refused(lasting.code.value, f"{lasting.cause.rstrip('.')}. {lasting.next_action}")
 
     def _new_move(self, kind: Literal["move", "jog", "home"], target: float, velocity: float) -> Move:
-        self.move = Move(next(self._move_numbers), kind, target, velocity, start=self.law.observer.position)
+        self._moves += 1
+        self.move = Move(self._moves, kind, target, velocity, start=self.law.observer.position)
         return self.move
 
     def _first_target(self, target: float) -> float:

@@ -4,7 +4,7 @@ import argparse
 import contextlib
 from typing import TYPE_CHECKING, Any
 
-from twostage_servo.cli.configuration import add_options, configuration_problems, load_machine
+from twostage_servo.cli.configuration import add_options, configuration_problems, find_configuration, load_machine
 from twostage_servo.cli.output import CommandError, ExitCode, print_json
 
 if TYPE_CHECKING:
@@ -94,6 +94,7 @@ async def _serve(
     from twostage_servo.service.assembly import socket_path
     from twostage_servo.service.control_socket import ControlSocket
     from twostage_servo.service.notify import Notifier
+    from twostage_servo.service.reloading import Reloading
     from twostage_servo.service.request_age import time_asleep_s
     from twostage_servo.service.status_line import StatusLine
     from twostage_servo.service.trip_files import TripFiles, default_folder
@@ -105,7 +106,8 @@ async def _serve(
     trip_files.start()
     for station in service.stations:
         station.reporter.trip_files = trip_files
-    service.desk.reload = lambda: _reload(service, machine, options)
+    overrides = tuple(options.overrides)
+    service.desk.prepare = Reloading(service, machine, find_configuration(options.config), overrides).prepare
     control = ControlSocket(path, service, time_asleep_s)
     try:
         await control.start()
@@ -144,23 +146,6 @@ def _longest_end_s(service: "ServoService") -> float:
     from twostage_servo.service.settings import longest_end_s
 
     return longest_end_s(service.settings, (station.axis.settings.arming_timeout_ms for station in service.stations))
-
-
-def _reload(service: "ServoService", running: "Machine", options: argparse.Namespace) -> None:
-    """Read the configuration again; what is wrong with it is refused, and the service goes on as it was."""
-    import structlog
-
-    from twostage_servo.axis.messages import Refused
-    from twostage_servo.config import ConfigError
-    from twostage_servo.service.assembly import reload_machine
-
-    try:
-        fresh = load_machine(options)
-        reload_machine(service, running, fresh)
-    except (CommandError, ConfigError) as error:
-        raise Refused("config", str(error)) from error
-    service.desk.reload = lambda: _reload(service, fresh, options)
-    structlog.get_logger().info("configuration read again", config=fresh.source)
 
 
 def _drive(options: argparse.Namespace) -> int:

@@ -1,9 +1,9 @@
 """Puts a service together from a loaded configuration; what does not fit is an error with file, line and key."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import can
 
@@ -27,6 +27,22 @@ _RESTART = "has changed: only a restart of the service can follow that"
 
 _ECHOING = frozenset({"udp_multicast"})
 """Interfaces of python-can on which a sender hears its own frames, whatever it asks for."""
+
+
+class DriveFrames(NamedTuple):
+    """What an axis has to know of its drive's frames; unlike a compiled profile it can be handed to another process."""
+
+    counter_modulus: int
+    position_period: float
+    position_quantum: float
+    heartbeat_id: "Identifier | None"
+    effort_limit: float
+    effort_unit: str
+
+    @classmethod
+    def of(cls, profile: DriveProfile) -> "DriveFrames":
+        """Take it from a compiled profile."""
+        return cls(*(getattr(profile, name) for name in cls._fields))
 
 
 def design(loaded: LoadedConfig[Config], tick_s: float | None = None) -> AxisDesign:
@@ -61,7 +77,7 @@ def compile_profile(loaded: LoadedConfig[Config]) -> DriveProfile:
     return profile
 
 
-def _check_effort(loaded: LoadedConfig[Config], profile: DriveProfile) -> None:
+def _check_effort(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames) -> None:
     config = loaded.config
     if profile.effort_unit not in {"", "1", config.axis.effort_unit}:
         raise loaded.problem(
@@ -77,7 +93,7 @@ def _check_effort(loaded: LoadedConfig[Config], profile: DriveProfile) -> None:
         )
 
 
-def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: float) -> Axis:
+def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames, tick_s: float) -> Axis:
     """Return the axis that a configuration describes, disarmed, on a tick of so many seconds.
 
     Raises
@@ -99,7 +115,7 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: floa
         raise loaded.problem(error.key, str(error)) from error
 
 
-def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: float) -> None:
+def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames, tick_s: float) -> None:
     limits, unit = loaded.config.axis.limits, loaded.config.axis.unit
     travel = limits.position_maximum - limits.position_minimum + 2.0 * limits.position_overrun
     half = 0.5 * profile.position_period
@@ -225,30 +241,62 @@ def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> N
     ConfigError
         If the parts do not fit together, or something has changed that only a restart can follow.
     """
+    frames = frames_of(service)
+    put_axes_in(service, prepare_axes(frames, running, fresh, service.ticks.period_s))
+
+
+def frames_of(service: ServoService) -> dict[str, DriveFrames]:
+    """Return what the axes of a service have to know of their drives' frames, by their names."""
+    return {station.name: DriveFrames.of(station.profile) for station in service.stations}
+
+
+def put_axes_in(service: ServoService, axes: Sequence[Axis]) -> None:
+    """Put axes in the place of a disarmed service's own, in whose order they are; they know what those knew."""
+    for station, axis in zip(service.stations, axes, strict=True):
+        axis.take_over(station.axis)
+        station.axis = axis
+
+
+def prepare_axes(frames: dict[str, DriveFrames], running: Machine, fresh: Machine, tick_s: float) -> list[Axis]:
+    """Design the axes of a configuration that was read again, in the order of the service's.
+
+    Parameters
+    ----------
+    frames
+        What they have to know of their drives' frames, by their names and in the order of the service's axes.
+    running, fresh
+        The configuration that the service runs on, and the other one.
+    tick_s
+        Length of a tick in s.
+
+    Raises
+    ------
+    ConfigError
+        As :func:`reload_machine`.
+    """
     before, now = ([loaded.config.axis.name for loaded in machine.axes] for machine in (running, fresh))
     for table in ("service", "realtime"):
         if getattr(fresh, table) != getattr(running, table):
             raise fresh.problem((table,), f"[{table}] {_RESTART}")
     if (fresh.when_one_trips, now) != (running.when_one_trips, before):
         raise fresh.problem(("machine",), f"[machine], or the name of an axis, {_RESTART}")
-    axes = [
-        _reread_axis(service.station(name), old, new, service.ticks.period_s)
+    axes = {
+        name: _reread_axis(frames[name], old, new, tick_s)
         for name, old, new in zip(now, running.axes, fresh.axes, strict=True)
-    ]
-    for name, axis in zip(now, axes, strict=True):
-        service.station(name).axis = axis
+    }
+    return [axes[name] for name in frames]
 
 
-def _reread_axis(station: Station, running: LoadedConfig[Config], fresh: LoadedConfig[Config], tick_s: float) -> Axis:
+def _reread_axis(
+    frames: DriveFrames, running: LoadedConfig[Config], fresh: LoadedConfig[Config], tick_s: float
+) -> Axis:
     for table in ("bus", "protocol"):
         if getattr(fresh.config, table) != getattr(running.config, table):
             raise fresh.problem((table,), f"[{table}] {_RESTART}")
     if fresh.config.axis.unit != running.config.axis.unit:  # the frames were compiled for it
         raise fresh.problem(("axis", "unit"), f"the unit {_RESTART}")
-    _check_effort(fresh, station.profile)
-    axis = build_axis(fresh, station.profile, tick_s)
-    axis.take_over(station.axis)
-    return axis
+    _check_effort(fresh, frames)
+    return build_axis(fresh, frames, tick_s)
 
 
 def socket_path(settings: ServiceSettings) -> Path:

@@ -245,8 +245,9 @@ class ControlSocket:
 
     async def _answer(self, connection: Connection, request: Request) -> None:
         """Carry a request out and answer it, in a turn for each piece of work: a tick may come between."""
-        pieces: Iterator[bytes] | None = None
         is_more = connection.busy = True
+        refused = await self._handler.prepare(request, connection)
+        pieces: Iterator[bytes] | None = None if refused is None else refused.pieces
         while is_more:
             async with self._turns.turn(rank_of(request)):
                 if connection.closed:

@@ -27,7 +27,7 @@ from twostage_servo.service.requests import (
 from twostage_servo.service.together import velocities_to_arrive_together
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Awaitable, Callable, Sequence
 
     from twostage_servo.axis.axis import Axis
     from twostage_servo.service.loop import ServoService
@@ -50,12 +50,17 @@ class Desk:
         Who commands.
     reload
         Reads the configuration again and gives the service its new axes; None where there is none to read.
+    prepare
+        Does the same outside the loop, up to the axes; returns what puts them in force. None where nothing does.
     """
 
     def __init__(self, service: "ServoService") -> None:
         self._service = service
         self.lease = Lease()
         self.reload: Callable[[], None] | None = None
+        self.prepare: Callable[[], Awaitable[Callable[[], None]]] | None = None
+        self._preparing: str | None = None  # the client for whom a configuration is being read
+        self._prepared: tuple[str, Callable[[], None]] | None = None
         self._log = structlog.get_logger()
 
     def handle(self, request: Request, client: str) -> dict[str, Any]:
@@ -156,9 +161,9 @@ class Desk:
                 self.lease.take(client, at_rest=at_rest)
             case _:
                 self.lease.demand(client)
-                self._command_as_holder(request)
+                self._command_as_holder(request, client)
 
-    def _command_as_holder(self, request: Request) -> None:
+    def _command_as_holder(self, request: Request, client: str) -> None:
         match request:
             case ArmRequest():
                 self._arm(self._stations(request))
@@ -177,7 +182,7 @@ class Desk:
                 else:
                     axis.set_position(position)
             case ReloadRequest():
-                self._reload()
+                self._reload(client)
 
     # Which axes ------------------------------------------------------------------------------------------------------
 
@@ -228,13 +233,47 @@ class Desk:
         for (axis, position, _), speed in zip(moves, velocities_to_arrive_together(moves), strict=True):
             axis.move_to(position, speed)
 
-    def _reload(self) -> None:
+    async def prepare_reload(self, client: str) -> None:
+        """Do ahead of a client's `reload` what takes longer than a tick; the request itself is to follow.
+
+        Raises
+        ------
+        Refused
+            If it would be refused, another one is under way, or the configuration cannot be used.
+        """
+        if self._service.is_ending:
+            raise Refused("ending", "the service is ending: nothing but reading is possible any more.")
+        if self.prepare is None:
+            return
+        self.lease.demand(client)
+        self._check_disarmed()
+        if self._preparing is not None:
+            raise Refused("busy", f"{self._preparing} has asked for `reload` just now: wait for its end.")
+        self._preparing, self._prepared = client, None
+        try:
+            self._prepared = client, await self.prepare()
+        finally:
+            self._preparing = None
+
+    def is_prepared(self, client: str) -> bool:
+        """Whether what was prepared for a client's `reload` waits for it."""
+        return self._prepared is not None and self._prepared[0] == client
+
+    def _reload(self, client: str) -> None:
+        prepared, self._prepared = self._prepared, None
+        if prepared is not None and prepared[0] == client:
+            self._check_disarmed()
+            prepared[1]()
+            return
         if self.reload is None:
             raise Refused("no_configuration", "this service runs on settings that stand in no file.")
+        self._check_disarmed()
+        self.reload()
+
+    def _check_disarmed(self) -> None:
         for station in self._service.stations:
             if station.axis.state is not State.DISARMED:
                 raise Refused(
                     "armed",
                     f"axis {station.name} is {station.axis.state}: settings are read again only while disarmed.",
                 )
-        self.reload()

@@ -15,6 +15,7 @@ from twostage_servo.service.requests import (
     JogRequest,
     RecordingRequest,
     ReleaseRequest,
+    ReloadRequest,
     Request,
     StopRequest,
 )
@@ -81,11 +82,28 @@ class RequestHandler:
                 self._carry_out(request, asker)
             return Reply(self._watched_over(self._told(request)), done=True)
         except Refused as error:
-            self._log.warning("refused", peer=asker.peer, op=request.op, code=error.code, reason=str(error))
-            return Reply(iter((answers.failure(error.code, str(error)),)), done=False)
+            return self._refusal(request, asker, error)
+
+    async def prepare(self, request: Request, asker: Asker) -> Reply | None:
+        """Do ahead what a request needs that takes longer than a tick; return its answer if it is refused by then."""
+        if not isinstance(request, ReloadRequest) or asker.gone:
+            return None
+        try:
+            self._check_age(request, asker)
+            await self._service.desk.prepare_reload(asker.peer)
+        except Refused as error:
+            return self._refusal(request, asker, error)
+        except Exception as error:  # noqa: BLE001 - a defect: the service ends with it
+            return self._refusal(request, asker, self._service.desk.defect(error))
+        return None
+
+    def _refusal(self, request: Request, asker: Asker, error: Refused) -> Reply:
+        self._log.warning("refused", peer=asker.peer, op=request.op, code=error.code, reason=str(error))
+        return Reply(iter((answers.failure(error.code, str(error)),)), done=False)
 
     def _carry_out(self, request: Request, asker: Asker) -> None:
-        self._check_age(request, asker)
+        if not (isinstance(request, ReloadRequest) and self._service.desk.is_prepared(asker.peer)):
+            self._check_age(request, asker)
         if not isinstance(request, JogRequest):  # a jog is asked for several times a second
             self._log.info("request", peer=asker.peer, **request.model_dump(exclude_none=True))
         before = self._stands()

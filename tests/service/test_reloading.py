@@ -1,0 +1,173 @@
+"""`reload` as an operator sees it: prepared outside the loop, swapped in within one tick."""
+
+import asyncio
+import json
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.service.rig import World, simulate
+from tests.service.test_reload import DEMO, change
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import State
+from twostage_servo.config import load
+from twostage_servo.machine import Machine
+from twostage_servo.service import assembly
+from twostage_servo.service.assembly import frames_of
+from twostage_servo.service.axes_preparation import Job, Prepared, prepare
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.reloading import Reloading, by_a_process
+from twostage_servo.service.requests import ReloadRequest
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "axis.toml"
+    path.write_text(DEMO, encoding="utf-8")
+    return path
+
+
+def reloading(world: World, file: Path, carry_out: Callable[[Job], Prepared] = prepare) -> Reloading:
+    return Reloading(world.service, Machine.of(load(file)), file, (), carry_out)
+
+
+async def ask(path: Path, *lines: str) -> list[dict[str, Any]]:
+    reader, writer = await asyncio.open_unix_connection(str(path), limit=1 << 20)
+    writer.write("".join(f"{line}\n" for line in lines).encode())
+    answers = [json.loads(await reader.readline()) for _ in lines]
+    writer.close()
+    return answers
+
+
+def test_a_process_of_its_own_does_the_same_as_this_one(file: Path) -> None:
+    async def script(world: World) -> tuple[Prepared, Prepared]:
+        job = Job(
+            file, ("axis.cruise_velocity=40.0",), pickle.dumps(Machine.of(load(file))), frames_of(world.service), 0.01
+        )
+        return by_a_process(job), prepare(job)
+
+    apart, here = simulate(script)
+    assert apart.problem is None
+    assert apart.source == here.source
+    one, other = (pickle.loads(prepared.axes[0]) for prepared in (apart, here))  # noqa: S301 - made here
+    assert isinstance(one, Axis)
+    assert one.settings == other.settings
+    assert one.settings.cruise_velocity == 40.0
+    assert one.design == other.design
+
+
+def test_a_file_that_is_wrong_is_told_by_the_process(file: Path) -> None:
+    async def script(world: World) -> Prepared:
+        job = Job(file, (), pickle.dumps(Machine.of(load(file))), frames_of(world.service), 0.01)
+        change(file, 'unit = "mm"', 'unit = "deg"')
+        return by_a_process(job)
+
+    problem = simulate(script).problem or ""
+    assert "axis.unit" in problem
+    assert "only a restart" in problem
+
+
+def test_a_process_that_fails_changes_nothing(file: Path) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        axis = world.axis
+        job = Job(file, (), b"no pickle", frames_of(world.service), 0.01)
+        world.service.desk.prepare = reloading(world, file, lambda _: by_a_process(job)).prepare
+        with pytest.raises(Refused, match=r"could not be read again, and nothing has changed.* ended with code 1"):
+            await world.service.desk.prepare_reload("somebody")
+        assert world.axis is axis
+        await world.armed()
+
+    simulate(script)
+
+
+def test_the_loop_designs_nothing_and_swaps_all_axes_in_one_turn(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The work that a tick may have to wait for: counted, not timed."""
+
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        world.axis.set_position(50.0)
+        designed, done = 0, []
+
+        def elsewhere(job: Job) -> Prepared:
+            done.append(prepare(job))
+            monkeypatch.setattr(assembly, "build_axis", counting)  # from here on it is the loop's
+            return done[0]
+
+        def counting(*_: Any) -> Axis:
+            nonlocal designed
+            designed += 1
+            raise AssertionError
+
+        world.service.desk.prepare = reloading(world, file, elsewhere).prepare
+        control = ControlSocket(tmp_path / "control.sock", world.service)
+        await control.start()
+        change(file, "cruise_velocity = 100.0", "cruise_velocity = 40.0")
+        (answer,) = await ask(tmp_path / "control.sock", '{"op": "reload"}')
+        assert answer["ok"] is True
+        assert world.axis.settings.cruise_velocity == 40.0
+        assert world.state() is State.DISARMED
+        assert (designed, len(done)) == (0, 1)
+        assert world.service.statistics.missed == 0
+        await world.seconds(0.05)
+        assert world.service.snapshot()["axis"]["position"] == 50.0
+        await control.stop()
+
+    simulate(script)
+
+
+def test_while_one_is_prepared_another_is_refused_and_an_axis_that_was_armed_keeps_its_settings(file: Path) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        desk, axis = world.service.desk, world.axis
+        go_on = asyncio.Event()
+        usual = reloading(world, file).prepare
+
+        async def slowly() -> Callable[[], None]:
+            await go_on.wait()
+            return await usual()
+
+        desk.prepare = slowly
+        first = asyncio.create_task(desk.prepare_reload("first"))
+        await world.seconds(0.02)
+        with pytest.raises(Refused, match="has asked for `reload` just now") as refused:
+            await desk.prepare_reload("first")
+        assert refused.value.code == "busy"
+        axis.arm()
+        go_on.set()
+        await first
+        assert desk.is_prepared("first")
+        with pytest.raises(Refused, match="settings are read again only while disarmed") as refused:
+            world.service.handle(ReloadRequest(op="reload"), "first")
+        assert refused.value.code == "armed"
+        assert world.axis is axis
+        assert not desk.is_prepared("first")
+
+    simulate(script)
+
+
+def test_what_was_read_again_is_compared_with_what_is_read_next(file: Path) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        desk = world.service.desk
+        desk.prepare = reloading(world, file).prepare
+        for velocity in ("40.0", "60.0"):
+            change(
+                file,
+                "cruise_velocity = " + ("100.0" if velocity == "40.0" else "40.0"),
+                f"cruise_velocity = {velocity}",
+            )
+            await desk.prepare_reload("this process")
+            world.service.handle(ReloadRequest(op="reload"))
+            assert world.axis.settings.cruise_velocity == float(velocity)
+        change(file, 'channel = "twostage-servo-demo"', 'channel = "another"')
+        with pytest.raises(Refused, match=r"\[bus\] has changed: only a restart"):
+            await desk.prepare_reload("this process")
+
+    simulate(script)
