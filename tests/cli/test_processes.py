@@ -565,6 +565,28 @@ def test_a_signal_that_would_end_the_process_brakes_and_disables_the_drive(
     assert json.loads(out)["counters"]["command_timeouts"] == 0
 
 
+WITHOUT_A_THREAD = (
+    sys.executable,
+    "-c",
+    """
+import threading
+from twostage_servo.cli.main import entry_point
+def fail(_):
+    raise RuntimeError("can't start new thread")
+threading.Thread.start = fail
+entry_point()
+""",
+)
+
+
+def test_a_service_that_gets_no_thread_does_not_start_and_says_so(machine: Machine) -> None:
+    service = machine.start("run", command=WITHOUT_A_THREAD)
+    out, _ = service.popen.communicate(timeout=LONGEST_S)
+    assert service.popen.returncode == 3
+    assert json.loads(out)["error"]["code"] == "no_thread"
+    assert not machine.socket.exists()
+
+
 WITH_A_DEFECT = (
     sys.executable,
     "-c",

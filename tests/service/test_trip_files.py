@@ -475,3 +475,36 @@ def test_a_disk_that_hangs_keeps_no_service_from_ending(monkeypatch: pytest.Monk
         let_go.set()
 
     asyncio.run(write())
+
+
+def test_each_axis_tells_of_its_own_file(tmp_path: Path) -> None:
+    async def write() -> None:
+        files = TripFiles(tmp_path)
+        one, another = files.write("x-jam", {"name": "x"}, ()), files.write("y-jam", {"name": "y"}, ())
+        await asyncio.sleep(0.1)
+        assert one.path is not None
+        assert another.path is not None
+        assert one.path.name.endswith("-x-jam.json")
+        assert another.path.name.endswith("-y-jam.json")
+
+    run(write())
+
+
+def test_the_file_of_an_earlier_trip_is_not_told_as_that_of_this_one(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    async def script(world: World) -> None:
+        world.station.reporter.trip_files = TripFiles(tmp_path)
+        for is_full in (False, True):
+            await world.armed()
+            if is_full:
+                monkeypatch.setattr(os, "fsync", no_space)
+            world.axis.raise_trip(TripCode.OVERSPEED, "again")
+            await world.until(lambda: world.state() is State.TRIPPED)
+            await world.seconds(0.05)
+            trip = world.service.snapshot()["trip"]
+            assert (trip["file"] is None, trip["file_error"] is None) == (is_full, not is_full)
+            if not is_full:
+                world.axis.reset()
+
+    simulate(script)

@@ -9,7 +9,7 @@ from twostage_servo.cli.output import CommandError, ExitCode, print_json
 
 if TYPE_CHECKING:
     import asyncio
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from twostage_servo.canbus.profile import DriveProfile
     from twostage_servo.config import Config
@@ -57,7 +57,8 @@ def _run_service(options: argparse.Namespace, signals: "EndingSignals") -> ExitC
     from twostage_servo.ticks import real_time_loop
 
     machine = _load_for_processes(options)
-    writer = open_log(machine.service.log_level)
+    with _threads():
+        writer = open_log(machine.service.log_level)
     try:
         with configuration_problems():
             service = build_service(machine)
@@ -103,7 +104,8 @@ async def _serve(
     notifier, loop = Notifier(), asyncio.get_running_loop()
     signals.call(service.shut_down, loop)
     trip_files = TripFiles(Path(machine.service.trip_folder or default_folder()))
-    trip_files.start()
+    with _threads():
+        trip_files.start()
     for station in service.stations:
         station.reporter.trip_files = trip_files
     overrides = tuple(options.overrides)
@@ -126,6 +128,16 @@ async def _serve(
         await control.stop()
         trip_files.close()
         notifier.close()
+
+
+@contextlib.contextmanager
+def _threads() -> "Iterator[None]":
+    """Let the verb end with what to do where the system has no thread left for the service."""
+    try:
+        yield
+    except RuntimeError as error:
+        text = f"the service cannot start: {error}. Look who has all threads and memory (`ulimit -u`, TasksMax=)"
+        raise CommandError(ExitCode.FAILED, "no_thread", text) from error
 
 
 def _feeder(

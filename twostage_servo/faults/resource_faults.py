@@ -15,7 +15,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.faults.bus_faults import foreign_command
 from twostage_servo.faults.world import World
 from twostage_servo.service.ending_signals import EndingSignals
-from twostage_servo.service.trip_files import Document, Records, TripFiles, write_file
+from twostage_servo.service.trip_files import Document, Records, TripFile, TripFiles, write_file
 
 if TYPE_CHECKING:
     import concurrent.futures
@@ -105,12 +105,14 @@ class _Threaded(TripFiles):
         super().__init__(folder, writer)
         self._handed_over: list[concurrent.futures.Future[Path]] = []
 
-    def write(self, name: str, document: Document, records: Records) -> None:
+    def write(self, name: str, document: Document, records: Records) -> TripFile:
         """Hand a file over to the thread; :meth:`wait` tells what came of it."""
+        file = TripFile()
         try:
             self._handed_over.append(self._thread.submit(self._write_file, self.folder, name, document, records))
         except RuntimeError as error:
-            self.fail(error)
+            self.fail(error, file)
+        return file
 
     def wait(self) -> None:
         """Wait, in real time, until all are written."""
@@ -119,7 +121,7 @@ class _Threaded(TripFiles):
             try:
                 self.latest = future.result(_PATIENCE_S)
             except (OSError, MemoryError) as error:
-                self.fail(error)
+                self.fail(error, TripFile())
 
 
 @contextlib.contextmanager

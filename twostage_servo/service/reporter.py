@@ -6,6 +6,7 @@ import structlog
 
 from twostage_servo.service.disabled_report import DisabledReport
 from twostage_servo.service.recorder import Record
+from twostage_servo.service.trip_files import TripFile
 from twostage_servo.ticks import Tick
 
 if TYPE_CHECKING:
@@ -28,12 +29,15 @@ class Reporter:
     ----------
     trip_files
         Where the recordings of trips go; None: they stay in memory only.
+    trip_file
+        What becomes of the file of the latest trip of this axis.
     snapshot
         Makes what a trip's file says beside the recording.
     """
 
     def __init__(self, station: "Station") -> None:
         self.trip_files: TripFiles | None = None
+        self.trip_file = TripFile()
         self.snapshot: Callable[[], dict[str, Any]] = station.report
         self._station = station
         self._log = structlog.get_logger().bind(axis=station.name)
@@ -78,12 +82,14 @@ class Reporter:
     def _keep_recording(self, trip: "Trip") -> None:
         """Keep the last ticks, in memory and on disk; for want of memory without them, since the axis has to go on."""
         station = self._station
+        self.trip_file = TripFile()
         try:
             station.recorder.keep()
             if self.trip_files is not None:
-                self.trip_files.write(f"{station.name}-{trip.code}", self._document(), station.recorder.records())
+                name, records = f"{station.name}-{trip.code}", station.recorder.records()
+                self.trip_file = self.trip_files.write(name, self._document(), records)
         except MemoryError as error:
             if self.trip_files is not None:
-                self.trip_files.fail(error)
+                self.trip_files.fail(error, self.trip_file)
             else:
                 self._log.error("no recording of the trip: no memory is left")

@@ -31,7 +31,7 @@ def report_axis(station: "Station") -> dict[str, Any]:
     axis, law, port, receiver = station.axis, station.axis.law, station.port, station.receiver
     driven = axis.state in DRIVEN
     age = axis.drive.monitor.ticks_since_fresh
-    counters, files = port.link.counters, station.reporter.trip_files
+    counters, file = port.link.counters, station.reporter.trip_file
     return {
         "axis": {
             "name": axis.settings.name,
@@ -70,8 +70,8 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "reaction": axis.trip.reaction.name.lower(),
             "escalation": None if axis.escalation is None else axis.escalation.code,
             "codes": list(axis.trips),
-            "file": None if files is None or files.latest is None else str(files.latest),
-            "file_error": None if files is None else files.error,
+            "file": None if file.path is None else str(file.path),
+            "file_error": file.error,
         },
         "drive": {
             "enabled": axis.drive.enabled,

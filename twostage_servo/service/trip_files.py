@@ -41,6 +41,24 @@ def default_folder() -> Path:
     return Path(home) / "twostage-servo" / "trips"
 
 
+class TripFile:
+    """What becomes of the file of one trip.
+
+    Attributes
+    ----------
+    path
+        Where it is, as soon as it is whole; None before.
+    error
+        Why it could not be written, or None.
+    """
+
+    __slots__ = ("error", "path")
+
+    def __init__(self) -> None:
+        self.path: Path | None = None
+        self.error: str | None = None
+
+
 class TripFiles:
     """Writes a file for each trip, outside the loop: neither a full disk nor a hanging one delays a tick.
 
@@ -83,21 +101,29 @@ class TripFiles:
         """
         self._thread.start()
 
-    def write(self, name: str, document: Document, records: Records) -> None:
-        """Begin to write a file; ``name`` (axis and code) goes into its name. Never waits, and never raises."""
+    def write(self, name: str, document: Document, records: Records) -> "TripFile":
+        """Begin to write a file; ``name`` (axis and code) goes into its name. Never waits, and never raises.
+
+        Returns
+        -------
+        TripFile
+            What becomes of it.
+        """
+        file = TripFile()
         try:
             future = asyncio.get_running_loop().run_in_executor(
                 self._thread, self._write_file, self.folder, _plain(name), document, records
             )
             self._writing.add(future)
-            future.add_done_callback(self._written)
+            future.add_done_callback(lambda done: self._written(done, file))
         except (RuntimeError, MemoryError) as error:
-            self.fail(error)
+            self.fail(error, file)
+        return file
 
-    def fail(self, error: BaseException) -> None:
+    def fail(self, error: BaseException, file: "TripFile") -> None:
         """Tell that a file could not be written, and why."""
         why = str(error) or ("no memory is left" if isinstance(error, MemoryError) else type(error).__name__)
-        self.error = f"no trip file can be written in {self.folder}: {why}"
+        self.error = file.error = f"no trip file can be written in {self.folder}: {why}"
         self._log.error("no trip file", error=self.error)
 
     def close(self) -> None:
@@ -105,14 +131,15 @@ class TripFiles:
         if not self._thread.end(_LONGEST_END_S):
             self._log.error("a trip file is not written, its disk hangs", folder=str(self.folder))
 
-    def _written(self, future: "asyncio.Future[Path]") -> None:
+    def _written(self, future: "asyncio.Future[Path]", file: "TripFile") -> None:
         self._writing.discard(future)
         if future.cancelled():
             return
         if error := future.exception():
-            self.fail(error)
+            self.fail(error, file)
         else:
             self.latest, self.error = future.result(), None
+            file.path = self.latest
             self._log.info("trip file", path=str(self.latest))
 
 
