@@ -4,7 +4,7 @@ import contextlib
 import math
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
@@ -93,6 +93,8 @@ def coasting(speed: float, pole: float, ticks: int, noise: list[float]) -> list[
     lost=st.sets(st.integers(0, 60)),
 )
 @settings(max_examples=300)
+@example(speed=30.0, error=0.71875, estimate=0.625, noise=[0.0625, 0.0625, 0.0], lost={0, 1, 2, 3, 4, 5})
+@example(speed=11.0, error=0.703125, estimate=0.0, noise=[0.0], lost={0, 1, 2, 3, 4, 5})
 def test_coasting_is_no_motion_whatever_the_estimate_was(
     speed: float, error: float, estimate: float, noise: list[float], lost: set[int]
 ) -> None:

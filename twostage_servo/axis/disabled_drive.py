@@ -76,9 +76,9 @@ class MotionWhileDisabled:
         if self._anchor is None:
             self._anchor = position
             return
-        seen = abs(position - last) / (ticks * self._period_s)
-        if self._samples <= _SPEED_SAMPLES and seen > self._speed:
-            self._speed, self._ticks = seen, 0
+        if self._samples <= _SPEED_SAMPLES:
+            self._speed = max(self._speed, abs(position - last) / (ticks * self._period_s))
+            self._ticks = 0
         self._beyond = self._beyond + 1 if abs(position - self._anchor) > self._allowed() else 0
         if self._beyond >= _SAMPLES_BEYOND or self.moved is not None:
             self.moved = position - self._anchor
@@ -100,7 +100,7 @@ class MotionWhileDisabled:
 
     @property
     def _start_speed(self) -> float:
-        """Speed with which the axis coasted `_ticks` ago, in axis unit/s; beyond the limit it is the encoder's."""
+        """Largest speed of the coasting axis, `_ticks` ago, in axis unit/s; beyond the limit it is the encoder's."""
         return min(self._speed, self._overspeed)
 
     def _allowed(self) -> float:
