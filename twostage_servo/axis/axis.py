@@ -5,7 +5,7 @@ from typing import Literal
 
 from twostage_servo.axis.admission import say_tripped
 from twostage_servo.axis.design import AxisDesign
-from twostage_servo.axis.duration import MoveDuration
+from twostage_servo.axis.duration import move_duration
 from twostage_servo.axis.homing import Homing
 from twostage_servo.axis.machine import Machine
 from twostage_servo.axis.messages import Move, Refused
@@ -35,7 +35,7 @@ class Axis(Machine):
         super().__init__(
             design, counter_modulus, position_period, resolution, heartbeat=heartbeat, tells_enabled=tells_enabled
         )
-        self.duration = MoveDuration(design)
+        self.duration = move_duration(design)
         self._moves = 0
 
     # What the operator asks for --------------------------------------------------------------------------------------

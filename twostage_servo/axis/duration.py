@@ -1,5 +1,6 @@
 """How long a move takes, from the designed response: what lets several axes arrive together."""
 
+import functools
 import math
 from bisect import bisect_left
 
@@ -102,3 +103,9 @@ class MoveDuration:
     def _enters(self, rising: list[float], share: float) -> float:
         """Return after how many seconds a response stays within a share for good."""
         return self._period_s * (len(rising) - bisect_left(rising, share))
+
+
+@functools.lru_cache(maxsize=8)
+def move_duration(design: AxisDesign) -> MoveDuration:
+    """Return the :class:`MoveDuration` of a design, computed once: nothing changes it."""
+    return MoveDuration(design)

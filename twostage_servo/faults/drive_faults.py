@@ -83,6 +83,7 @@ def fault_bit(world: World, random: Random) -> None:
 def reboot(world: World, _: Random) -> None:
     """Let the drive reboot: silent for 15 ms, disabled, and its encoder starts at 0."""
     world.drive.reboot(world.now_s, 0.015)
+    world.node.wake()
 
 
 def ignore_effort(world: World, _: Random) -> None:

@@ -126,8 +126,8 @@ class _StuckStream:
 
 
 def flood(world: World, _: Random) -> None:
-    """Let a client ask 200 times in a tick for a second, and two watch every tick without reading."""
-    world.spawn(_flood(world, world.now_s + 1.0))
+    """Let a client ask 200 times in each of 10 ticks, and two watch every tick without reading."""
+    world.spawn(_flood(world, world.now_s + 10.0 * world.period_s))
 
 
 async def _flood(world: World, end_s: float) -> None:

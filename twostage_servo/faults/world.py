@@ -111,7 +111,9 @@ class World:
         settings = loaded.config.simulation
         self.drive = SimulatedDrive(settings, self.station.profile, loop.time())
         link = Link(bus, self.station.profile.drive_identifiers, functools.partial(self.wire.attach, DRIVE))
-        self.node = DriveNode(self.drive, link, settings.cycle_ms / 1e3)
+        at = self.wire.node(DRIVE)
+        self.node = DriveNode(self.drive, link, settings.cycle_ms / 1e3, arrival_s=lambda: at.next_arrival_s)
+        at.on_arrival = self.node.wake
         self.samples: list[Sample] = []
         self.keeps_samples = True
         self.serving: asyncio.Task[None] | None = None

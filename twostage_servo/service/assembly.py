@@ -45,6 +45,10 @@ class DriveFrames(NamedTuple):
         return cls(*(getattr(profile, name) for name in cls._fields))
 
 
+_designed = functools.lru_cache(maxsize=8)(design_axis)
+"""The same settings give the same design, which nothing changes: a campaign builds hundreds of services from them."""
+
+
 def design(loaded: LoadedConfig[Config], tick_s: float | None = None) -> AxisDesign:
     """Design the axis' law and observer, on the configuration's own tick or another one, in s.
 
@@ -55,7 +59,7 @@ def design(loaded: LoadedConfig[Config], tick_s: float | None = None) -> AxisDes
     """
     config = loaded.config
     try:
-        return design_axis(config.axis, config.service.tick_ms / 1e3 if tick_s is None else tick_s)
+        return _designed(config.axis, config.service.tick_ms / 1e3 if tick_s is None else tick_s)
     except DesignError as error:
         raise loaded.problem(error.key, str(error)) from error
 

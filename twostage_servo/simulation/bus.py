@@ -3,6 +3,7 @@
 import copy
 import errno
 import heapq
+import math
 import os
 from collections.abc import Callable, Iterable
 from typing import Final, TypeAlias
@@ -87,6 +88,8 @@ class WireNode:
         Oldest frames lost because nobody read them and the queue was full.
     queue_length : int
         Frames that wait to be read at most.
+    on_arrival : callable or None
+        Called for each frame that is on its way to this node.
     """
 
     def __init__(self, wire: Wire) -> None:
@@ -95,6 +98,7 @@ class WireNode:
         self.is_attached = False
         self.dropped = 0
         self.queue_length = _QUEUE_LENGTH
+        self.on_arrival: Callable[[], None] | None = None
         self._wire = wire
         self._down = False
         self._queue: list[tuple[float, int, can.Message]] = []  # a heap: (time of arrival, number, message)
@@ -123,6 +127,13 @@ class WireNode:
         if len(self._queue) > self.queue_length:
             heapq.heappop(self._queue)
             self.dropped += 1
+        if self.on_arrival is not None:
+            self.on_arrival()
+
+    @property
+    def next_arrival_s(self) -> float:
+        """When the next frame arrives, or has arrived, s; infinity when none is on its way."""
+        return self._queue[0][0] if self._queue else math.inf
 
     def next_arrived(self) -> can.Message | None:
         """Take a copy of the frame that arrived first; None when none has arrived."""

@@ -106,6 +106,16 @@ class SimulatedDrive:
         return self._effort
 
     @property
+    def due_s(self) -> float:
+        """When the next :meth:`cycle` is needed, if no command comes before; s, in the past where one is needed now."""
+        if self._booted_s != inf:
+            return self._booted_s
+        if self._feedback_asked or self._index_id is not None:  # a mark may be passed in any cycle
+            return -inf
+        heartbeat_s = inf if self._heartbeat_id is None else self._heartbeat_timer.due_s
+        return min(self._feedback_timer.due_s, heartbeat_s)
+
+    @property
     def enabled(self) -> bool:
         """Whether the drive is enabled at the time of the last call."""
         self._advance()

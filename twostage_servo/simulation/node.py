@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.simulation.drive import SimulatedDrive
+from twostage_servo.simulation.sparse_ticks import SparseTicks
 from twostage_servo.ticks import Ticks
 
 _log = logging.getLogger(__name__)
@@ -27,6 +28,9 @@ class DriveNode:
         Period of the firmware cycle, s.
     observer : callable, optional
         Called with the time (s) and the drive whenever the drive has sampled its position, to record the true state.
+    arrival_s : callable, optional
+        Gives the time (s) at which the next frame arrives, or infinity. With it, cycles in which nothing is due are
+        left out, which is most of them; :meth:`wake` then has to be called for each frame that is sent.
     """
 
     def __init__(
@@ -35,11 +39,16 @@ class DriveNode:
         link: Link,
         cycle_s: float,
         observer: Callable[[float, SimulatedDrive], None] | None = None,
+        *,
+        arrival_s: Callable[[], float] | None = None,
     ) -> None:
         self._drive = drive
         self._link = link
         self._observer = observer
-        self._ticks = Ticks(cycle_s)
+        self._ticks: Ticks = Ticks(cycle_s)
+        if arrival_s is not None:
+            self._ticks = sparse = SparseTicks(cycle_s)
+            sparse.due_s = lambda: min(drive.due_s, arrival_s()) if link.is_open else self._reopen_at_s
         self._timeouts_reported = 0
         self._error_reported: str | None = None
         self._reopen_s = link.settings.reopen_interval_ms / 1e3
@@ -59,6 +68,11 @@ class DriveNode:
                     await self._open(loop)
         finally:
             self._link.close()
+
+    def wake(self) -> None:
+        """Look again what is due next: a frame arrives, or the drive has been changed from outside."""
+        if isinstance(self._ticks, SparseTicks):
+            self._ticks.wake()
 
     def stop(self) -> None:
         """Let :meth:`run` end before the next cycle. Call it from the loop's thread."""
