@@ -30,6 +30,7 @@ MAY_IMPORT = {
         "simulation",
         "service",
         "config",
+        "machine",
         "cli",
     },  # its children are whole programs
     "paper": {"control"},

@@ -1,13 +1,14 @@
-"""Write the tables in the docs that come from the code: errata, states, trips, and the fault matrix.
+"""Write the tables in the docs that come from the code: errata, states, trips, and the fault matrices.
 
-``python tools/write_tables.py`` after a change of what they say; with ``--faults`` the fault campaign as well, which
-takes a minute or two. ``--check`` writes nothing, and fails if a table is not what the code says, or if a fault cell is
-missed.
+``python tools/write_tables.py`` after a change of what they say; with ``--faults`` the fault campaign on each shipped
+configuration as well, which takes some minutes. ``--check`` writes nothing, and fails if a table is not what the code
+says, or if a fault cell is missed. With ``--share TEXT`` it runs ``demo.toml`` whole, and of each other configuration
+one cell in twelve: the text, such as the hash of a commit, decides on which.
 """
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from twostage_servo.axis.state import transition_table
@@ -22,28 +23,7 @@ TABLES: dict[str, tuple[str, Callable[[], str]]] = {
 }
 """Name of the marked place, its page, and what makes the table."""
 
-_SEED = 1
-
-
-def fault_matrix() -> str:
-    """Run the campaign on the shipped configuration.
-
-    Raises
-    ------
-    SystemExit
-        If a cell is missed.
-    """
-    from twostage_servo.faults.report import as_markdown, describe  # noqa: PLC0415 - the others need no campaign
-    from twostage_servo.faults.runner import run_campaign  # noqa: PLC0415
-
-    def report(_: object, done: int, total: int) -> None:
-        if done % 25 == 0 or done == total:
-            print(f"{done} of {total} cells", flush=True)
-
-    cells = run_campaign(None, (), _SEED, report=report)
-    if missed := [describe(cell, "mm") for cell in cells if not cell.met]:
-        sys.exit("\n".join(["missed:", *missed]))
-    return as_markdown(cells)
+_CONFIGURATIONS = Path(__file__).parents[1] / "config"
 
 
 def replaced(page: str, name: str, table: str) -> str:
@@ -60,13 +40,14 @@ def main() -> int:
     """Write or check the tables; return 0 if all is as it should be."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--faults", action="store_true", help="run the fault campaign as well")
+    parser.add_argument("--only", metavar="NAME", action="append", help="of this configuration; may be repeated")
+    parser.add_argument("--share", metavar="TEXT", help="with --check: the cells that this decides on")
     parser.add_argument("--check", action="store_true", help="compare, and write nothing")
     options = parser.parse_args()
-    tables = dict(TABLES)
-    if options.faults:
-        tables["faults"] = ("faults.md", fault_matrix)
+    if options.share is not None and not options.check:
+        parser.error("--share compares some cells: it goes with --check")
     different = []
-    for name, (file, make) in tables.items():
+    for name, (file, make) in TABLES.items():
         path = _DOCS / file
         page = path.read_text("utf-8")
         fresh = replaced(page, name, make())
@@ -75,9 +56,48 @@ def main() -> int:
         different.append(f"docs/{file}: {name}")
         if not options.check:
             path.write_text(fresh, "utf-8")
+    if options.faults:
+        different += matrices(options.only or shipped(), check=options.check, share=options.share)
     verb = "not what the code says" if options.check else "written"
     print("\n".join(f"{one} {verb}" for one in different) or "every table is what the code says")
     return 1 if options.check and different else 0
+
+
+def shipped() -> list[str]:
+    """Return the names of the shipped configurations, demo.toml first."""
+    return sorted((path.stem for path in _CONFIGURATIONS.glob("*.toml")), key=lambda name: (name != "demo", name))
+
+
+def matrices(names: Sequence[str], *, check: bool, share: str | None) -> list[str]:
+    """Run the campaign on configurations, and write or compare their matrices; return which are different.
+
+    Raises
+    ------
+    SystemExit
+        If a cell is missed.
+    """
+    from faults.matrix import compare, run  # noqa: PLC0415 - the others need no campaign
+
+    different = []
+    missed: list[str] = []
+    for name in names:
+        part = share if name != "demo" else None
+        matrix = run(_CONFIGURATIONS / f"{name}.toml", part)
+        missed += matrix.missed
+        mark, path = f"faults {name}", _DOCS / ("faults.md" if name == "demo" else "faults-of-other-configurations.md")
+        page = path.read_text("utf-8")
+        if part is not None:
+            different += [f"{path.name}, {name}: {what}" for what in compare(page, mark, matrix)]
+        elif (fresh := replaced(page, mark, matrix.text)) != page:
+            different.append(f"docs/{path.name}: {mark}")
+            if not (check or matrix.missed):
+                path.write_text(fresh, "utf-8")
+    if missed:
+        again = f"; again with: python tools/write_tables.py --faults --check --share {share}" if share else ""
+        sys.exit("\n".join([f"missed{again}:", *missed]))
+    if share and different:
+        print(f"again with: python tools/write_tables.py --faults --check --share {share}")
+    return different
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ A machine's file lists the configurations of its axes, each of which is complete
 import re
 import tomllib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -73,6 +73,27 @@ class Machine:
     def is_one_axis(self) -> bool:
         """Whether the file is that of an axis, not of a machine."""
         return self._file in self.axes
+
+    def axis(self, name: str) -> LoadedConfig[Config]:
+        """Return the configuration of the axis of a name.
+
+        Raises
+        ------
+        KeyError
+            If there is none.
+        """
+        for loaded in self.axes:
+            if loaded.config.axis.name == name:
+                return loaded
+        raise KeyError(name)
+
+    def with_axis(self, name: str, config: Config) -> "Machine":
+        """Return the machine with another configuration of the axis of a name."""
+        former = self.axis(name)
+        changed = replace(former, config=config)
+        if self._file is former:
+            return Machine.of(changed)
+        return replace(self, axes=tuple(changed if loaded is former else loaded for loaded in self.axes))
 
     def problem(self, key: Sequence[str | int], message: str) -> ConfigError:
         """Make an error of what was noticed only after loading; see :meth:`LoadedConfig.problem`."""

@@ -1,5 +1,6 @@
 """Alive counters: fresh, doubled, overtaken, lost."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,13 +37,23 @@ def test_losses_are_counted_through_the_wrap(start: int, steps: list[int]) -> No
     assert monitor.lost == sum(step - 1 for step in steps)
 
 
-def test_after_a_long_silence_any_counter_is_fresh() -> None:
+@pytest.mark.parametrize("counter", [0, 2, 4, 6, 15])
+def test_after_a_long_silence_any_other_counter_is_fresh(counter: int) -> None:
     monitor = FeedbackMonitor(16)
     accept(monitor, 5)
     for _ in range(20):
         monitor.begin_tick(0)
-    assert accept(monitor, 5) == [True]
-    assert monitor.doubled == 0
+    assert accept(monitor, counter) == [True]
+    assert (monitor.doubled, monitor.reordered) == (0, 0)
+
+
+def test_a_drive_that_repeats_itself_is_never_fresh() -> None:
+    monitor = FeedbackMonitor(16)
+    accept(monitor, 5)
+    for _ in range(40):
+        monitor.begin_tick(0)
+        assert accept(monitor, 5) == [False]
+    assert monitor.ticks_since_fresh == 80
 
 
 def test_the_age_counts_missed_ticks() -> None:

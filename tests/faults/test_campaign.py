@@ -22,9 +22,10 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import main
 from twostage_servo.config import load
 from twostage_servo.control.two_stage import TwoStageLaw
-from twostage_servo.faults.campaign import Campaign, Cell
+from twostage_servo.faults.campaign import Campaign, Cell, NotApplicable
 from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.report import as_json, as_markdown, as_page, as_text
+from twostage_servo.faults.runner import Result
 from twostage_servo.faults.table import MEANINGS, TABLE, Fault, Phase
 from twostage_servo.faults.world import World
 from twostage_servo.service.ending_signals import EndingSignals
@@ -162,20 +163,51 @@ def cell(**changes: object) -> Cell:
 
 def test_the_report_shows_each_cell_and_each_miss() -> None:
     cells = [cell(), cell(phase="holding", observed="T", trip="", travel=0.01)]
-    result = as_json(cells, 7, "mm", ["33 safe torque off: no such signal"])
+    campaign = Result(cells, [NotApplicable(33, "safe torque off", "cruising", "no such signal", "x")], {"x": "mm"})
+    result = as_json(campaign, 7)
     assert (result["met"], result["missed"], result["seed"]) == (1, 1, 7)
-    keys = {"fault", "name", "phase", "expected", "observed", "travel", "bound", "met"}
+    keys = {"axis", "fault", "name", "phase", "expected", "observed", "travel", "bound", "met", "limit"}
     assert all(keys <= set(one) for one in result["cells"])
-    text = as_text(cells, "mm")
+    missing = {"axis": "x", "fault": 33, "name": "safe torque off", "phase": "cruising", "reason": "no such signal"}
+    assert result["not_applicable"] == [missing]
+    text = as_text(campaign)
+    assert "NOT APPLICABLE 33 safe torque off, cruising: no such signal" in text
     assert "Q 5.43/12.8" in text
     assert "MISSED 2 frames <lost>, holding: expected Q, observed T, travel 0.010 of 12.800 mm" in text
     assert all(meaning in text for meaning in MEANINGS.values())
-    assert "| 2 | frames <lost> |  |  | Q 6 / 13 |  |  | Q 0.1 / 13 **missed** |" in as_markdown(cells)
-    page = as_page(result, cells, "Axis x")
+    assert "| 2 | frames <lost> |  |  | Q 6 / 13 |  |  | Q 0.01 / 13 **missed** |" in as_markdown(campaign)
+    assert "- 33 safe torque off, cruising: no such signal." in as_markdown(campaign)
+    page = as_page(campaign, 7, "Axis x")
     assert "frames &lt;lost&gt;" in page
     assert "frames <lost>" not in page
     assert "1 cells met, 1 missed" in page
     assert page.count("class='missed'") == 1
+
+
+def test_a_stated_limit_is_met_within_its_bound_only() -> None:
+    stated = cell(observed="T", limit="one encoder cannot tell", travel=5.0)
+    assert stated.met
+    assert not dataclasses.replace(stated, travel=13.0).met
+    assert not dataclasses.replace(stated, limit="").met
+    assert not dataclasses.replace(stated, wrong="something else").met
+    text = as_markdown(Result([stated], [], {"x": "mm"}))
+    assert "- 2 frames <lost>, cruising: one encoder cannot tell." in text
+    assert "| T limit, 5 / 13 |" in text
+
+
+def test_a_machine_has_a_matrix_for_each_axis() -> None:
+    cells = [cell(axis="x"), cell(axis="y", travel=14.0)]
+    campaign = Result(cells, [], {"x": "mm", "y": "m"})
+    assert [one["axis"] for one in as_json(campaign, 1)["cells"]] == ["x", "y"]
+    assert as_json(campaign, 1)["units"] == {"x": "mm", "y": "m"}
+    text = as_text(campaign)
+    assert "Axis y, in m" in text
+    assert (
+        "MISSED y: 2 frames <lost>, cruising: expected Q, observed Q (stale_feedback), travel 14.000 of 12.800 m"
+        in text
+    )
+    assert as_markdown(campaign).count("| | fault |") == 2
+    assert "<h2>Axis y</h2>" in as_page(campaign, 1, "both")
 
 
 def test_the_command_gives_the_json_of_the_contract(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

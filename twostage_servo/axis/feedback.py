@@ -70,13 +70,13 @@ class FeedbackMonitor:
         """
         if counter is not None and self._counter is not None:
             step = (counter - self._counter) % self._modulus
-            # After half a round of silence old and new can't be told apart any more, and any frame starts afresh.
+            if step == 0:  # also after a silence: a drive that repeats itself must not look fresh once a round
+                self.doubled += 1
+                self._errors_now += 1
+                return False
+            # After half a round of silence old and new can't be told apart any more, and any other starts afresh.
             silent = self.ticks_since_fresh is None or self.ticks_since_fresh > self._modulus // 2
             if not silent:
-                if step == 0:
-                    self.doubled += 1
-                    self._errors_now += 1
-                    return False
                 if step > self._modulus // 2:
                     self.reordered += 1
                     self._errors_now += 1

@@ -106,6 +106,10 @@ class DriveProfile:
         Identifiers of the index message and of the heartbeat; None when the drive has none.
     controller_identifiers, drive_identifiers : tuple of Identifier
         What the controller listens to; what the drive listens to.
+    position_unit : str
+        Unit of the position in the DBC; empty where it gives none.
+    can_say_invalid : bool
+        Whether the feedback's position signal has a value for "position invalid".
     effort_quantum : float
         Step of the effort, in the drive's unit; 0 for an IEEE float.
     effort_unit : str
@@ -154,6 +158,7 @@ class DriveProfile:
         self.effort_unit = effort.unit
         self.effort_limit = min(effort.maximum, -effort.minimum)
         self.position_quantum = position.quantum
+        self.position_unit = position.unit
         self.position_period = position.period
         self.sampling = compiler.sampling
         self.counter_modulus = int(feedback["counter"].maximum) + 1
@@ -162,6 +167,12 @@ class DriveProfile:
         self.boot_counter_modulus = int(heartbeat["boot_counter"].maximum) + 1
         self.fault_texts = feedback["fault_code"].choices
         self.state_texts = heartbeat["state"].choices
+
+        try:
+            position.encode(math.nan)
+            self.can_say_invalid = True
+        except ValueError:
+            self.can_say_invalid = False
 
         # In the order of the tuples' fields. The functions themselves, not their codecs: fewer look-ups a frame.
         self._feedback_decoders = tuple(feedback[role].decode for role in Feedback._fields)

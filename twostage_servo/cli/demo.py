@@ -20,6 +20,9 @@ _PATIENCE = (
 )
 """What the embedded demo allows in real time: a busy desktop may well hold a process up for a tenth of a second."""
 
+_CRUISE_S = 4.0
+"""How long the demo's move would take at its cruise velocity."""
+
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
     """Declare the verb."""
@@ -31,8 +34,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "a machine that is busy: 100 ms without feedback, 20 missed ticks, 250 ms of silence at the drive.",
     )
     add_options(demo, required=False)
-    demo.add_argument("--to", type=float, default=400.0, metavar="POSITION", help="set-point (default 400)")
-    demo.add_argument("--velocity", type=float, default=100.0, help="cruise velocity (default 100)")
+    demo.add_argument("--to", type=float, metavar="POSITION", help="set-point (default: 4 s of cruise away)")
+    demo.add_argument("--velocity", type=float, help="cruise velocity (default: axis.cruise_velocity)")
     demo.add_argument("--fast", action="store_true", help="run in simulated time")
     demo.add_argument("--trace", type=Path, metavar="FILE", help="write every tick to a CSV file")
     demo.set_defaults(run=_demo)
@@ -58,7 +61,12 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     progress = Progress(quiet=options.json or options.fast)
     try:
         with configuration_problems():
-            demo = Demonstration(loaded, options.to, options.velocity, progress)
+            axis, start = loaded.config.axis, loaded.config.simulation.initial_position
+            velocity = axis.cruise_velocity if options.velocity is None else options.velocity
+            farthest = min(
+                max(start + _CRUISE_S * velocity, axis.limits.position_minimum), axis.limits.position_maximum
+            )
+            demo = Demonstration(loaded, farthest if options.to is None else options.to, velocity, progress)
         setup = contextlib.nullcontext() if options.fast else punctual(demo.service, loaded.config.realtime)
         with asyncio.Runner(loop_factory=VirtualClockLoop if options.fast else real_time_loop) as runner, setup:
             runner.run(demo.run())

@@ -2,7 +2,7 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, find_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
@@ -10,7 +10,10 @@ from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, not
 if TYPE_CHECKING:
     from twostage_servo.faults.campaign import Cell
 
-_PHASES = ("idle", "accelerating", "cruising", "change-over", "settling", "holding", "homing", "jogging")
+_PHASES = (
+    "idle", "accelerating", "cruising", "change-over", "settling", "holding", "homing", "jogging", "stopping",
+    "quick stopping",
+)  # fmt: skip
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -19,9 +22,10 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "faults",
         help="inject every fault into this axis in simulated time: how it reacts, how far it travels",
         description="Inject 57 faults of bus, encoder, drive, host, operator and disk into the running service, in "
-        "six phases of a move, the severe ones while homing and jogging as well, in simulated time on the axis of a "
-        "configuration. Shows the reaction, and the travel that it costs against what the limits allow. Five faults "
-        "need real processes and real time; --simulated leaves them out.",
+        "six phases of a move, the severe ones while homing and jogging as well, those of the encoder while stopping, "
+        "in simulated time on the axis of a configuration, or on each axis of a machine. Shows the reaction, and the "
+        "travel that it costs against what the limits allow. Five faults need real processes and real time; "
+        "--simulated leaves them out.",
     )
     add_options(faults, required=False)
     faults.add_argument("--fault", type=int, action="append", metavar="N", help="only this fault; may be repeated")
@@ -41,7 +45,6 @@ def _faults(options: argparse.Namespace) -> ExitCode:
     if not 0 <= options.seed < 2**63:
         raise CommandError(ExitCode.USAGE, "usage", f"--seed {options.seed}: from 0 to 2^63 - 1 is possible")
     path = find_configuration(options.config)
-    unit, name, missing = _inspect(path, options)
     progress = Progress(quiet=options.json)
     missed = 0
 
@@ -52,7 +55,7 @@ def _faults(options: argparse.Namespace) -> ExitCode:
 
     try:
         with configuration_problems():
-            cells = run_campaign(
+            result = run_campaign(
                 path, options.overrides, options.seed,
                 faults=tuple(options.fault or ()),
                 phases=[Phase(phase) for phase in options.phase] if options.phase else tuple(Phase),
@@ -65,36 +68,20 @@ def _faults(options: argparse.Namespace) -> ExitCode:
         ) from error
     finally:
         progress.end()
-    if not cells:
+    if not result.cells and not result.not_applicable:
         raise CommandError(
-            ExitCode.USAGE, "usage", "no such fault on this axis, or not in this phase: see docs/faults.md for the list"
+            ExitCode.USAGE, "usage", "no such fault, or not in this phase: see docs/faults.md for the list"
         )
-    result: dict[str, Any] = as_json(cells, options.seed, unit, missing)
     if options.html is not None:
-        _write(options.html, as_page(result, cells, f"Axis {name} of {path or 'the embedded demo.toml'}"))
+        what = f"{', '.join(f'axis {name}' for name in result.units)} of {path or 'the embedded demo.toml'}"
+        _write(options.html, as_page(result, options.seed, what))
+    missed = sum(not cell.met for cell in result.cells)
     if options.json:
-        print_json(result)
+        print_json(as_json(result, options.seed))
     else:
-        print_line(as_text(cells, unit))
-        print_line(f"{result['met']} cells met, {result['missed']} missed; seed {options.seed}")
-    return ExitCode.FAILED if result["missed"] else ExitCode.DONE
-
-
-def _inspect(path: Path | None, options: argparse.Namespace) -> tuple[str, str, list[str]]:
-    """Return unit and name of the axis, and which faults it cannot have."""
-    from twostage_servo.config import load
-    from twostage_servo.faults.table import TABLE
-    from twostage_servo.service.assembly import compile_profile
-
-    with configuration_problems():
-        loaded = load(path, options.overrides)
-        profile = compile_profile(loaded)
-    missing = [
-        f"{fault.number} {fault.name}: the drive of this configuration has no such signal"
-        for fault in TABLE
-        if not fault.needs(profile, loaded.config.protocol)
-    ]
-    return loaded.config.axis.unit, loaded.config.axis.name, missing
+        print_line(as_text(result))
+        print_line(f"{len(result.cells) - missed} cells met, {missed} missed; seed {options.seed}")
+    return ExitCode.FAILED if missed else ExitCode.DONE
 
 
 def _write(path: Path, text: str) -> None:

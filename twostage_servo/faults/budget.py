@@ -32,12 +32,15 @@ class Reference:
         Distance to the set-point at that moment, in axis unit.
     closing
         Whether that is in the position stage of a move.
+    window_s
+        How long before a moment the sample may lie that tells of it, and how long behind, in s.
     """
 
     samples: Sequence[Sample]
     time_s: float
     to_go: float
     closing: bool
+    window_s: float = 0.02
 
     def peak_speed(self, duration_s: float) -> float:
         """Return the largest speed from the fault on, for a time in s; in axis unit/s."""
@@ -45,7 +48,7 @@ class Reference:
             (
                 abs(s.velocity)
                 for s in self.samples
-                if self.time_s - 0.02 <= s.time_s <= self.time_s + duration_s + 0.02
+                if self.time_s - self.window_s <= s.time_s <= self.time_s + duration_s + self.window_s
             ),
             default=0.0,
         )
@@ -56,7 +59,7 @@ class Reference:
 
     def remaining(self) -> float:
         """Return how far it still goes from the fault on, in axis unit."""
-        after = [s.position for s in self.samples if s.time_s >= self.time_s - 0.02]
+        after = [s.position for s in self.samples if s.time_s >= self.time_s - self.window_s]
         return max(abs(position - after[0]) for position in after) if after else 0.0
 
     def length(self) -> float:
@@ -85,6 +88,7 @@ class Budget:
         self.reference = reference
         self.command_timeout_s = command_timeout_s
         self.tick_s = design.period_s
+        self._since_s = reference.time_s - reference.window_s
         self._latency_s = cycle_s + design.period_s
         self._pole = design.settings.plant.pole
         self._gain = abs(design.settings.plant.gain)
@@ -116,7 +120,7 @@ class Budget:
         And the samples that are late by as much are bridged, or would trip.
         """
         late_s = share * self.tick_s
-        efforts = [sample.effort for sample in self.reference.samples if sample.time_s >= self.reference.time_s - 0.02]
+        efforts = [sample.effort for sample in self.reference.samples if sample.time_s >= self._since_s]
         changes = sum(abs(after - before) for before, after in itertools.pairwise(efforts))
         speed = self.reference.peak_speed(60.0)
         return speed * late_s + self._gain / self._pole * changes * late_s + self.innovation(speed) + self.unnoticed()
@@ -176,6 +180,16 @@ class Budget:
     def doubled_scale(self) -> float:
         """Return what an encoder costs that counts twice: the axis goes half as far as it seems until it is noticed."""
         return 0.5 * self.reference.remaining() + self.wrong_encoder()
+
+    def halved_scale(self) -> float:
+        """Return what an encoder costs that counts half.
+
+        What it hides is noticed like a reversed sign; meanwhile the axis goes twice as far as it shows, and up to twice
+        as fast.
+        """
+        allowed = 2.0 * 10.0 * self.innovation(self.design.settings.cruise_velocity)
+        noticed_s = self.noticing_s(IMPLAUSIBLE_SAMPLES)
+        return allowed + self.quick_stop(noticed_s, self.reference.peak_speed(noticed_s))
 
     def unreachable_speed(self, share: float) -> float:
         """Return what a plant costs that reaches only a share of the velocity limit at the effort limit.

@@ -33,20 +33,33 @@ def on_feedback(world: World, act: Callable[[int, can.Message], Deliveries]) -> 
     world.wire.disturb = disturb
 
 
+def _frame_s(world: World) -> float:
+    """Return how far apart the feedback frames come, in s."""
+    simulation = world.simulation
+    return simulation.feedback_period_ms / 1e3 if simulation.feedback == "cyclic" else world.period_s
+
+
 def lose(count: int) -> Callable[[World, Random], None]:
     """Lose the next frames."""
     return lambda world, _: on_feedback(world, lambda n, frame: [] if n < count else [(0.0, frame)])
 
 
 def lose_as_many_as_the_limit(world: World, _: Random) -> None:
-    """Lose as many frames in a row as the axis does not allow any more: three, with a limit of 30 ms."""
-    count = world.axis.design.ticks(world.axis.settings.limits.stale_feedback_ms)
+    """Lose as many frames in a row as the axis does not allow any more: three, with a limit of 30 ms.
+
+    Those of a drive with a rhythm of its own come at any time within a tick, so the silence has to be a tick longer.
+    """
+    silence_s = world.axis.design.ticks(world.axis.settings.limits.stale_feedback_ms) * world.period_s
+    if world.simulation.feedback == "cyclic":
+        silence_s += world.period_s
+    count = math.ceil(silence_s / _frame_s(world) - 1e-9)
     on_feedback(world, lambda n, frame: [] if n < count else [(0.0, frame)])
 
 
 def lose_at_random(world: World, random: Random) -> None:
     """Lose 5 % of all frames from now on, yet never as many in a row as the limit: that is another fault."""
-    most = world.axis.design.ticks(world.axis.settings.limits.stale_feedback_ms) - 1
+    stale_s = world.axis.design.ticks(world.axis.settings.limits.stale_feedback_ms) * world.period_s
+    most = max(1, math.floor(stale_s / _frame_s(world) + 1e-9) - 1)
     row = 0
 
     def act(_: int, frame: can.Message) -> Deliveries:
@@ -120,15 +133,17 @@ def interface_down(world: World, _: Random) -> None:
 
 
 def babble(world: World, random: Random) -> None:
-    """Let a node send 150 frames of other identifiers a tick, for half a second."""
-    node, profile = world.wire.node(SERVICE), world.station.profile
-    known = {one.identifier for one in (*profile.controller_identifiers, profile.command_id)}
+    """Let a node send frames of other identifiers for half a second: 15 in a ms, 150 in a tick at most."""
+    node = world.wire.node(SERVICE)
+    count = round(min(15e3 * world.period_s, 150.0))
+    profiles = [station.profile for station in world.service.stations]
+    known = {one.identifier for profile in profiles for one in (*profile.controller_identifiers, profile.command_id)}
     others = [number for number in range(0x800) if number not in known]
     end_s = world.now_s + 0.5
 
     def after_each_tick(_: object) -> None:
         if world.now_s < end_s:
-            for _frame in range(150):
+            for _frame in range(count):
                 data = random.randbytes(random.randrange(9))
                 node.inject(can.Message(arbitration_id=random.choice(others), is_extended_id=False, data=data))
 
@@ -140,9 +155,10 @@ def back_up(world: World, _: Random) -> None:
 
     What the drive sends waits behind them, longer with each tick.
     """
-    node, profile, link = world.wire.node(SERVICE), world.station.profile, world.station.port.link
+    node, link = world.wire.node(SERVICE), world.station.port.link
     node.queue_length = 1_000_000
-    known = {one.identifier for one in (*profile.controller_identifiers, profile.command_id)}
+    profiles = [station.profile for station in world.service.stations]
+    known = {one.identifier for profile in profiles for one in (*profile.controller_identifiers, profile.command_id)}
     foreign = next(number for number in range(0x7FF, 0, -1) if number not in known)
     frame = can.Message(arbitration_id=foreign, is_extended_id=False, is_fd=link.settings.fd, data=bytes(8))
     frames = math.ceil(1.25 * link.settings.frames_read(world.period_s))

@@ -1,7 +1,6 @@
 """Runs the faults: each cell is one fault in one phase, on an axis of its own, in simulated time."""
 
 import contextlib
-import dataclasses
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from twostage_servo.control.two_stage import Stage
 from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.plan import CRUISE_S, LONG_CRUISE_S, cruise_end, plan_target, settling_begin
 from twostage_servo.faults.table import (
+    BRAKED,
     DISABLED,
     HELD,
     LETTERS,
@@ -30,6 +30,7 @@ from twostage_servo.faults.table import (
     Phase,
 )
 from twostage_servo.faults.world import Sample, World, operate
+from twostage_servo.machine import Machine
 from twostage_servo.service.assembly import compile_profile, design
 from twostage_servo.simulation.virtual_clock import run
 from twostage_servo.ticks import Tick
@@ -39,10 +40,13 @@ if TYPE_CHECKING:
 
 _READY_S = 3.0
 _WAIT_S = 0.3
-"""How long a fault has to show before the operator goes on, where the axis is at rest."""
+"""How long the operator waits at least, where the axis is at rest."""
 _AFTER_S = 0.5
 _SEARCH_S = 1.0
 """How long an operator lets a search or a jog go on after the fault, before stopping it."""
+
+AFTER_THE_STOP_S = 0.02
+"""How long after an operator's stop in a cruise a fault begins that comes while the axis brakes."""
 
 COMPARABLE_SHARE = 0.9
 """Share of a run's ticks whose place must have one to be compared with in the run without the fault."""
@@ -73,6 +77,10 @@ class Cell:
         How far it may.
     wrong
         What else is not as it should be; empty if nothing.
+    axis
+        The axis that has the fault; empty where the fault is one of the whole service.
+    limit
+        What one encoder cannot tell in this phase, where that is why the reaction is another one; else empty.
     """
 
     fault: int
@@ -84,11 +92,25 @@ class Cell:
     travel: float
     bound: float
     wrong: str = ""
+    axis: str = ""
+    limit: str = ""
 
     @property
     def met(self) -> bool:
-        """Whether reaction, travel and all else are as they should be."""
-        return self.observed == self.expected and self.travel <= self.bound and not self.wrong
+        """Whether reaction, travel and all else are as they should be, or the limit of one encoder is stated."""
+        as_expected = self.observed == self.expected or bool(self.limit)
+        return as_expected and self.travel <= self.bound and not self.wrong
+
+
+@dataclass(frozen=True, slots=True)
+class NotApplicable:
+    """A cell that there cannot be on an axis, and why."""
+
+    fault: int
+    name: str
+    phase: str
+    reason: str
+    axis: str = ""
 
 
 @dataclass(slots=True)
@@ -100,9 +122,9 @@ class _Outcome:
     ended_s: float
     at_rest: bool
     place: float
+    fault_place: float
     to_go: float
     samples: list[Sample]
-    first: str
     observed: str
     trip: str
     wrong: str
@@ -113,20 +135,28 @@ class Campaign:
 
     Parameters
     ----------
-    loaded
-        The configuration; its bus is replaced by a simulated one.
+    machine
+        The configuration, of a machine or of one axis; its buses are replaced by a simulated one.
     seed
         Of everything that is random: noise, sizes, moments.
+    axis
+        Name of the axis that has the faults; None for the only one, or the first.
     """
 
-    def __init__(self, loaded: LoadedConfig[Config], seed: int) -> None:
-        simulation = loaded.config.simulation.model_copy(update={"seed": seed, "frame_loss": 0.0})
-        config = loaded.config.model_copy(update={"simulation": simulation})
-        self.loaded = dataclasses.replace(loaded, config=config)
+    def __init__(self, machine: Machine | LoadedConfig[Config], seed: int, axis: str | None = None) -> None:
+        if isinstance(machine, LoadedConfig):
+            machine = Machine.of(machine)
+        for loaded in machine.axes:
+            simulation = loaded.config.simulation.model_copy(update={"seed": seed, "frame_loss": 0.0})
+            config = loaded.config.model_copy(update={"simulation": simulation, "service": machine.service})
+            machine = machine.with_axis(config.axis.name, config)
+        self.machine = machine
+        self.axis = axis or machine.axes[0].config.axis.name
+        self.loaded = machine.axis(self.axis)
         self.seed = seed
         self.design: AxisDesign = design(self.loaded)
         self.profile = compile_profile(self.loaded)
-        self._searching = _with_a_search(self.loaded)
+        self._searching = machine.with_axis(self.axis, _with_a_search(self.loaded.config))
         self._references: dict[tuple[Phase, bool, bool], _Outcome] = {}
 
     def cells(
@@ -134,9 +164,25 @@ class Campaign:
     ) -> Iterator[tuple[Fault, Phase]]:
         """Yield what there is to run on this axis."""
         for fault in faults:
-            if fault.needs(self.profile, self.loaded.config.protocol):
-                there = [phase for phase in fault.phases if phase in phases]
-                yield from ((fault, phase) for phase in there if phase is not Phase.HOMING or self.can_search)
+            yield from ((fault, phase) for phase in fault.phases if phase in phases and not self._why_not(fault, phase))
+
+    def not_applicable(
+        self, faults: Sequence[Fault] = TABLE, phases: Sequence[Phase] = tuple(Phase)
+    ) -> Iterator[NotApplicable]:
+        """Yield what there is not, with the reason."""
+        for fault in faults:
+            for phase in fault.phases:
+                if phase in phases and (reason := self._why_not(fault, phase)):
+                    yield NotApplicable(fault.number, fault.name, phase.value, reason, self.axis)
+
+    def _why_not(self, fault: Fault, phase: Phase) -> str:
+        if not fault.needs(self.profile, self.loaded.config.protocol):
+            return fault.reason
+        if reason := fault.why_not(self.loaded.config):
+            return reason
+        if phase is Phase.HOMING and not self.can_search:
+            return "the axis is homed where it stands, and its drive has no home switch to look for"
+        return ""
 
     @property
     def can_search(self) -> bool:
@@ -144,22 +190,26 @@ class Campaign:
         config = self.loaded.config
         return config.axis.homing.method != "set_here" or config.protocol.feedback.home_switch is not False
 
-    def configuration(self, phase: Phase) -> LoadedConfig[Config]:
+    def configuration(self, phase: Phase) -> Machine:
         """Return the configuration in which a phase is played."""
-        return self._searching if phase is Phase.HOMING else self.loaded
+        return self._searching if phase is Phase.HOMING else self.machine
 
     def run(self, fault: Fault, phase: Phase) -> Cell:
         """Run one cell."""
         reference = self._reference(phase, fault)
         outcome = self._play(phase, fault, reference)
         expected = fault.expectation(phase, self.loaded.config)
-        if outcome.first == expected and outcome.observed == fault.then:
-            expected = fault.then
+        if outcome.observed == fault.instead:
+            expected = outcome.observed
         simulation = self.loaded.config.simulation
         budget = Budget(
             self.design,
             Reference(
-                reference.samples, reference.fault_s, reference.to_go, phase in {Phase.CHANGEOVER, Phase.SETTLING}
+                reference.samples,
+                reference.fault_s,
+                reference.to_go,
+                phase in {Phase.CHANGEOVER, Phase.SETTLING},
+                max(0.02, 2.0 * self.design.period_s),
             ),
             simulation.command_timeout_ms / 1e3,
             simulation.cycle_ms / 1e3,
@@ -174,6 +224,7 @@ class Campaign:
             travel, incomparable = _deviation(outcome, reference, self.design.period_s)
             wrong = "; ".join(filter(None, (incomparable, wrong)))
         bound = fault.budget(phase, expected)(budget)
+        limit = fault.limit(phase) if outcome.observed == TOLERATED != expected else ""
         return Cell(
             fault.number,
             fault.name,
@@ -184,6 +235,8 @@ class Campaign:
             travel,
             bound,
             wrong,
+            self.axis,
+            limit,
         )
 
     def _reference(self, phase: Phase, fault: Fault) -> _Outcome:
@@ -229,10 +282,10 @@ class _Script:
         self._code = ""
         self._states_before = 0
         self._states_end: int | None = None
-        self._begun_s = self._place = self._to_go = 0.0
+        self._begun_s = self._place = self._fault_place = self._to_go = 0.0
 
     async def play(self) -> _Outcome:
-        async with operate(self._campaign.configuration(self._phase)) as world:
+        async with operate(self._campaign.configuration(self._phase), self._campaign.axis) as world:
             self._plan(world)
             if self._fault.prepare is not None:
                 await self._prepare(world)
@@ -241,12 +294,18 @@ class _Script:
                 raise NotOperableError(f"the axis could not be armed before the fault: {obstacle and obstacle[1]}")
             if not world.axis.referenced:
                 world.axis.set_position(world.drive.position)
+            await world.start_companions(_READY_S)
             await self._reach_the_phase(world)
             await world.seconds(self._random.uniform(0.0, world.period_s))
+            if self._phase in BRAKED:
+                world.axis.stop(quick=self._phase is Phase.QUICK_STOPPING)
+                await world.seconds(AFTER_THE_STOP_S)
             if self._phase is Phase.HOLDING:
                 world.start, world.target = world.target, world.start  # the next move goes back
             fault_s, self._states_before = world.now_s, len(world.samples)
+            world.forget_companions()
             self._begun_s, self._place = fault_s, world.place()
+            self._fault_place = self._place
             world.fault_s = world.begun_s = fault_s
             world.fault_place = self._place
             self._to_go = abs(world.target - self._place)
@@ -260,19 +319,21 @@ class _Script:
             # What a check does to the axis is no travel any more.
             samples, ended_s = list(world.samples), world.now_s
             at_rest = abs(world.drive.velocity) <= world.axis.design.rest_velocity
-            wrong = await self._fault.check(world) if self._fault.check is not None and self._inject else None
+            wrong = await world.companions_complaint(shared=self._fault.shared) if self._inject else ""
+            if self._fault.check is not None and self._inject:
+                wrong = "; ".join(filter(None, (wrong, await self._fault.check(world))))
             return _Outcome(
                 fault_s,
                 self._begun_s,
                 ended_s,
                 at_rest,
                 self._place,
+                self._fault_place,
                 self._to_go,
                 samples,
-                observed if world.axis.trip is None else LETTERS[world.axis.trip.reaction],
                 observed,
                 code,
-                wrong or "",
+                wrong,
             )
 
     def _plan(self, world: World) -> None:
@@ -309,7 +370,7 @@ class _Script:
             world.axis.move_to(world.target, world.velocity)
         reached: Callable[[], bool] = {
             Phase.ACCELERATING: lambda: abs(_nominal_velocity(world)) >= 0.5 * world.velocity,
-            Phase.CRUISING: lambda: self._cruises(world),
+            **dict.fromkeys((Phase.CRUISING, *BRAKED), lambda: self._cruises(world)),
             Phase.CHANGEOVER: lambda: world.axis.law.stage is Stage.POSITION,
             Phase.SETTLING: lambda: (
                 world.axis.law.stage is Stage.POSITION
@@ -326,6 +387,11 @@ class _Script:
                 f"{world.velocity:g} without a fault: {trip.cause if trip else 'it took too long'}"
             )
 
+    @property
+    def _wait_s(self) -> float:
+        """How long a fault has to show before the operator goes on, where the axis is at rest, in s."""
+        return max(_WAIT_S, self._campaign.loaded.config.axis.limits.heartbeat_ms / 1e3)
+
     def _cruises(self, world: World) -> bool:
         """Whether the speed has settled; near the end of the cruise, or at its beginning where it has to be long."""
         law, velocity = world.axis.law, world.velocity
@@ -337,13 +403,16 @@ class _Script:
     async def _go_on(self, world: World) -> None:
         """Do what an operator would do next, until the axis is at rest."""
         if self._phase is Phase.IDLE:
-            await world.seconds(_WAIT_S)
+            await world.seconds(self._wait_s)
             if not await self._try_to_arm(world):
                 return
             await self._move(world)
         elif self._phase is Phase.HOLDING:
-            await world.seconds(_WAIT_S)
+            await world.seconds(self._wait_s)
             await self._move(world)
+        elif self._phase in BRAKED:
+            self._states_end = self._states_before  # the operator's own stop is no reaction
+            await self._follow(world)
         elif self._phase in SEARCHING:
             await world.seconds(_SEARCH_S)
             self._states_end = len(world.samples)  # the operator's own stop is no reaction
@@ -369,7 +438,7 @@ class _Script:
     async def _arm(self, world: World) -> None:
         if world.service.is_ending:
             raise Refused("ending", "the service is ending")
-        await world.until(lambda: world.axis.ready_to_arm or world.service.is_ending, 0.2)
+        await world.until(lambda: world.axis.ready_to_arm or world.service.is_ending, max(0.2, 5.0 * world.period_s))
         world.axis.arm()
         await world.until(lambda: world.axis.state is State.HOLDING or world.axis.trip is not None, _READY_S)
 
@@ -418,8 +487,13 @@ def _nominal_velocity(world: World) -> float:
 
 def _travelled(outcome: _Outcome) -> float:
     """Return the largest distance from where the axis was when the fault, or the last move after it, began."""
-    after = (sample.position for sample in outcome.samples if sample.time_s >= outcome.begun_s - 1e-9)
-    return max((abs(position - outcome.place) for position in after), default=0.0)
+    farthest = 0.0
+    for sample in outcome.samples:
+        if sample.time_s >= outcome.begun_s - 1e-9:
+            farthest = max(farthest, abs(sample.position - outcome.place))
+        elif sample.time_s >= outcome.fault_s - 1e-9:
+            farthest = max(farthest, abs(sample.position - outcome.fault_place))
+    return farthest
 
 
 def _deviation(outcome: _Outcome, reference: _Outcome, period_s: float) -> tuple[float, str]:
@@ -463,24 +537,27 @@ def _keep_jogging(world: World) -> None:
     axis, velocity = world.axis, world.heading * world.velocity
     every = max(1, int(axis.settings.jog_timeout_ms / (2e3 * world.period_s)))
     axis.jog(velocity)
+    due = 0
 
     def renew(tick: Tick) -> None:
-        if tick.index % every == 0 and axis.state is State.JOGGING:
+        nonlocal due
+        if tick.index >= due and axis.state is State.JOGGING:  # a remainder of the index could be one that is missed
+            due = tick.index + every
             with contextlib.suppress(Refused):
                 axis.jog(velocity)
 
     world.service.publishers.append(renew)
 
 
-def _with_a_search(loaded: LoadedConfig[Config]) -> LoadedConfig[Config]:
+def _with_a_search(config: Config) -> Config:
     """Return a configuration whose axis looks for its reference.
 
     One that is homed where it stands looks for a home switch, with the speeds and the travel that its settings give for
     a search: what the axis does about a fault while it searches depends on its state, not on what it searches for.
     """
-    axis = loaded.config.axis
+    axis = config.axis
     if axis.homing.method != "set_here":
-        return loaded
+        return config
     homing = axis.homing.model_copy(update={"method": "switch"})
     axis = axis.model_copy(update={"homing": homing})
-    return dataclasses.replace(loaded, config=loaded.config.model_copy(update={"axis": axis}))
+    return config.model_copy(update={"axis": axis})

@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from twostage_servo.config import Config, ConfigError, LoadedConfig, load
-from twostage_servo.faults.campaign import Cell
+from twostage_servo.faults.campaign import Cell, NotApplicable
 from twostage_servo.faults.table import REFUSED, TOLERATED, Phase
-from twostage_servo.service.assembly import build_service
+from twostage_servo.service.assembly import build_service, compile_profile
 
 _MISSING = "stale_feedback_ms"
 _STEPS = 40
+_WRONG_UNIT = "a wrong unit"
 
 
 class ConfigurationFaults:
@@ -37,7 +38,7 @@ class ConfigurationFaults:
             (47, "an unknown key", self._override("axis.limits.velocty=100"), "velocty"),
             (47, "a missing key", self._without(_MISSING), _MISSING),
             (47, "a value of the wrong type", self._override("axis.limits.velocity=[1]"), "velocity"),
-            (47, "a wrong unit", self._override('axis.unit="furlong"'), "unit"),
+            (47, _WRONG_UNIT, self._override('axis.unit="furlong"'), "unit"),
             (
                 48,
                 "unstable gains",
@@ -46,8 +47,22 @@ class ConfigurationFaults:
             ),
             (48, "fragile gains", self._fragile(loaded), "performance_index_ratio"),
         ):
+            if name == _WRONG_UNIT and self.unit_is_free(loaded):
+                continue
             observed, wrong = _try(attempt, key)
             yield Cell(number, name, Phase.IDLE.value, REFUSED, observed, "", 0.0, 0.0, wrong)
+
+    def not_applicable(self) -> Iterator[NotApplicable]:
+        """Yield what cannot be wrong with this configuration."""
+        if self.unit_is_free(load(self._path, self._overrides)):
+            reason = "the DBC gives no unit, or protocol.feedback.position_scale converts it: any unit may be right"
+            yield NotApplicable(47, _WRONG_UNIT, Phase.IDLE.value, reason)
+
+    @staticmethod
+    def unit_is_free(loaded: LoadedConfig[Config]) -> bool:
+        """Whether the axis' unit can't be compared with one of the DBC."""
+        profile = compile_profile(loaded)
+        return loaded.config.protocol.feedback.position_scale != 1.0 or not profile.position_unit
 
     def _override(self, override: str) -> Callable[[], LoadedConfig[Config]]:
         return lambda: load(self._path, [*self._overrides, override])

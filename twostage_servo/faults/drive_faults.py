@@ -93,9 +93,9 @@ def ignore_effort(world: World, _: Random) -> None:
 
 def too_weak(world: World, _: Random) -> None:
     """Let the plant need a little more effort than the limit for the velocity of the move."""
-    settings = world.axis.settings
-    needed = abs(settings.limits.velocity * settings.plant.pole / settings.plant.gain)
-    world.change(gain_factor=WEAKNESS * needed / settings.limits.effort)
+    limits, true = world.axis.settings.limits, world.simulation
+    needed = abs(limits.velocity * true.pole / true.gain)
+    world.change(gain_factor=WEAKNESS * needed / limits.effort)
 
 
 def jam(world: World, _: Random) -> None:

@@ -146,7 +146,7 @@ async def _flood(world: World, end_s: float) -> None:
 def bad_set_points(world: World, _: Random) -> None:
     """Ask for set-points that no axis can take; each has to be refused."""
     limits = world.axis.settings.limits
-    beyond = limits.position_maximum + 1.0
+    beyond = limits.position_maximum + 0.01 * (limits.position_maximum - limits.position_minimum)
     lines = [
         '{"op": "move", "position": NaN}',
         '{"op": "move", "position": Infinity}',

@@ -5,8 +5,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from twostage_servo.faults.campaign import Cell
-from twostage_servo.faults.table import ALL, MEANINGS, PROCESS_FAULTS, SEARCHING, TABLE
+from twostage_servo.faults.campaign import Cell, NotApplicable
+from twostage_servo.faults.runner import Result
+from twostage_servo.faults.table import ALL, BRAKED, MEANINGS, PROCESS_FAULTS, SEARCHING, TABLE
 
 _NOTES = {fault.name: fault.note for fault in TABLE if fault.note}
 
@@ -19,15 +20,24 @@ def rows(cells: Sequence[Cell]) -> list[tuple[int, str, dict[str, Cell]]]:
     return [(number, name, phases) for (number, name), phases in sorted(table.items(), key=lambda row: row[0][0])]
 
 
-def as_json(cells: Sequence[Cell], seed: int, unit: str, not_applicable: Sequence[str]) -> dict[str, Any]:
+def by_axis(result: Result) -> list[tuple[str, list[Cell]]]:
+    """Return the axes' names with their cells; what is of no axis goes to the only one."""
+    first = next(iter(result.units))
+    return [(name, [cell for cell in result.cells if (cell.axis or first) == name]) for name in result.units]
+
+
+def as_json(result: Result, seed: int) -> dict[str, Any]:
     """Return the result as one JSON object."""
+    cells, first = result.cells, next(iter(result.units))
     return {
         "seed": seed,
-        "unit": unit,
+        "unit": result.units[first],
+        "units": result.units,
         "met": sum(cell.met for cell in cells),
         "missed": sum(not cell.met for cell in cells),
         "cells": [
             {
+                "axis": cell.axis or first,
                 "fault": cell.fault,
                 "name": cell.name,
                 "phase": cell.phase,
@@ -38,71 +48,129 @@ def as_json(cells: Sequence[Cell], seed: int, unit: str, not_applicable: Sequenc
                 "bound": _finite(cell.bound),
                 "met": cell.met,
                 "wrong": cell.wrong,
+                "limit": cell.limit,
             }
             for cell in cells
         ],
-        "not_applicable": list(not_applicable),
+        "not_applicable": [
+            {"axis": one.axis, "fault": one.fault, "name": one.name, "phase": one.phase, "reason": one.reason}
+            for one in result.not_applicable
+        ],
     }
 
 
-def as_text(cells: Sequence[Cell], unit: str) -> str:
+def as_text(result: Result) -> str:
     """Return a table for a terminal: the reaction in each phase, and the largest travel with its bound."""
+    several = len(result.units) > 1
+    parts = []
+    for axis, cells in by_axis(result):
+        unit = result.units[axis]
+        parts += [f"Axis {axis}, in {unit}"] if several else []
+        parts += [_matrix_text(cells), ""]
+    parts += [f"{letter}  {meaning}" for letter, meaning in MEANINGS.items()]
+    units = ", ".join(dict.fromkeys(result.units.values()))
+    parts.append(f"Each cell: reaction, and travel after the fault / largest that is allowed, in {units}. ! is a miss.")
+    parts += [f"NOT APPLICABLE {line}" for line in _why_not(result.not_applicable)]
+    for axis, cells in by_axis(result):
+        parts += [f"LIMIT {describe(cell, result.units[axis])}" for cell in cells if cell.met and cell.limit]
+        parts += [f"MISSED {describe(cell, result.units[axis])}" for cell in cells if not cell.met]
+    return "\n".join(parts)
+
+
+def _matrix_text(cells: Sequence[Cell]) -> str:
     width = max((len(cell.name) for cell in cells), default=10)
     phases = _columns(cells)
     lines = [f"{'':4}{'fault':{width}}  {'  '.join(f'{phase:>12}' for phase in phases)}"]
     for number, name, by_phase in rows(cells):
         lines.append(f"{number:3} {name:{width}}  {'  '.join(_short(by_phase.get(phase)) for phase in phases)}")
-    lines.append("")
-    lines += [f"{letter}  {meaning}" for letter, meaning in MEANINGS.items()]
-    lines.append(f"Each cell: reaction, and travel after the fault / largest that is allowed, in {unit}. ! is a miss.")
-    lines += [f"MISSED {describe(cell, unit)}" for cell in cells if not cell.met]
     return "\n".join(lines)
+
+
+def _why_not(not_applicable: Sequence[NotApplicable]) -> list[str]:
+    """Return a line for each fault that there cannot be, or only in some of its phases, with the reason."""
+    phases: dict[tuple[str, int, str, str], list[str]] = {}
+    for one in not_applicable:
+        phases.setdefault((one.axis, one.fault, one.name, one.reason), []).append(one.phase)
+    everywhere = {(fault.number, fault.name): len(fault.phases) for fault in TABLE}
+    lines = []
+    for (axis, number, name, reason), where in phases.items():
+        all_of_them = len(where) == everywhere.get((number, name), len(where))
+        what = " ".join(filter(None, (str(number), name))) + ("" if all_of_them else f", {', '.join(where)}")
+        several = len({one.axis for one in not_applicable if one.axis}) > 1
+        lines.append(f"{f'{axis}: ' if several and axis else ''}{what}: {reason}")
+    return lines
 
 
 def describe(cell: Cell, unit: str) -> str:
     """Return a line that says what a cell came to."""
-    text = f"{cell.fault} {cell.name}, {cell.phase}: expected {cell.expected}, observed {cell.observed}"
+    text = f"{cell.axis}: " if cell.axis else ""
+    text += f"{cell.fault} {cell.name}, {cell.phase}: expected {cell.expected}, observed {cell.observed}"
     if cell.trip:
         text += f" ({cell.trip})"
     text += f", travel {cell.travel:.3f} of {cell.bound:.3f} {unit}"
-    return text + (f"; {cell.wrong}" if cell.wrong else "")
+    return text + "".join(f"; {more}" for more in (cell.limit, cell.wrong) if more)
 
 
-def as_markdown(cells: Sequence[Cell]) -> str:
-    """Return the matrix as it stands in the docs. Travel and bound are rounded up."""
+def as_markdown(result: Result) -> str:
+    """Return the matrix of each axis as it stands in the docs, with what there is not, and the stated limits."""
+    parts = []
+    for axis, cells in by_axis(result):
+        parts += [f"Axis {axis}:", ""] if len(result.units) > 1 else []
+        parts += [matrix(cells), ""]
+        if limits := [cell for cell in cells if cell.limit]:
+            parts += ["Limits of one encoder:", ""]
+            parts += [f"- {cell.fault} {cell.name}, {cell.phase}: {cell.limit}." for cell in limits]
+            parts.append("")
+    if missing := _why_not(result.not_applicable):
+        parts += ["Not applicable:", "", *(f"- {line}." for line in missing), ""]
+    return "\n".join(parts).rstrip("\n")
+
+
+def matrix(cells: Sequence[Cell]) -> str:
+    """Return the matrix of one axis. Travel and bound are rounded up."""
     phases = _columns(cells)
     lines = ["| | fault | " + " | ".join(phases) + " |", "|---" * (len(phases) + 2) + "|"]
     for number, name, by_phase in rows(cells):
         note = f" *({_NOTES[name]})*" if name in _NOTES else ""
-        columns = [_rounded(by_phase.get(phase)) for phase in phases]
+        columns = [rounded(by_phase.get(phase)) for phase in phases]
         lines.append(f"| {number} | {name}{note} | " + " | ".join(columns) + " |")
     return "\n".join(lines)
 
 
-def as_page(result: dict[str, Any], cells: Sequence[Cell], what: str) -> str:
-    """Return a self-contained page: the matrix, each travel drawn against its bound, and what the letters mean."""
-    unit = html.escape(result["unit"])
+def as_page(result: Result, seed: int, what: str) -> str:
+    """Return a self-contained page: the matrices, each travel drawn against its bound, and what the letters mean."""
+    several = len(result.units) > 1
+    tables = "".join(
+        (f"<h2>Axis {html.escape(axis)}</h2>" if several else "") + _matrix_html(cells, result.units[axis])
+        for axis, cells in by_axis(result)
+    )
+    missed = sum(not cell.met for cell in result.cells)
+    legend = "".join(f"<dt class='{key}'>{key}</dt><dd>{html.escape(text)}</dd>" for key, text in MEANINGS.items())
+    missing = "".join(f"<li>{html.escape(line)}</li>" for line in _why_not(result.not_applicable))
+    return _PAGE.format(
+        what=html.escape(what), verdict=f"{len(result.cells) - missed} cells met, {missed} missed", seed=seed,
+        unit=html.escape(", ".join(dict.fromkeys(result.units.values()))), tables=tables,
+        legend=legend, missing=f"<h2>Not applicable</h2><ul>{missing}</ul>" if missing else "",
+        state="good" if missed == 0 else "bad",
+    )  # fmt: skip
+
+
+def _matrix_html(cells: Sequence[Cell], unit: str) -> str:
     phases = _columns(cells)
+    header = "".join(f"<th>{phase}</th>" for phase in phases)
     body = []
     for number, name, by_phase in rows(cells):
-        columns = "".join(_cell_html(by_phase.get(phase), result["unit"]) for phase in phases)
+        columns = "".join(_cell_html(by_phase.get(phase), unit) for phase in phases)
         note = f"<small>{html.escape(_NOTES[name])}</small>" if name in _NOTES else ""
         body.append(f"<tr><th>{number}</th><th>{html.escape(name)}{note}</th>{columns}</tr>")
-    verdict = f"{result['met']} cells met, {result['missed']} missed"
-    legend = "".join(f"<dt class='{key}'>{key}</dt><dd>{html.escape(text)}</dd>" for key, text in MEANINGS.items())
-    missing = "".join(f"<li>{html.escape(text)}</li>" for text in result["not_applicable"])
-    header = "".join(f"<th>{phase}</th>" for phase in phases)
-    return _PAGE.format(
-        what=html.escape(what), verdict=verdict, seed=result["seed"], unit=unit, header=header, rows="".join(body),
-        legend=legend, missing=f"<h2>Not on this axis</h2><ul>{missing}</ul>" if missing else "",
-        state="good" if result["missed"] == 0 else "bad",
-    )  # fmt: skip
+    head = f"<thead><tr><th></th><th>fault</th>{header}</tr></thead>"
+    return f'<div class="scroll"><table>{head}<tbody>{"".join(body)}</tbody></table></div>'
 
 
 def _columns(cells: Sequence[Cell]) -> list[str]:
     """Return the phases of a move, and those of other motion as far as there are cells of them."""
     there = {cell.phase for cell in cells}
-    return [*(phase.value for phase in ALL), *(phase.value for phase in SEARCHING if phase.value in there)]
+    return [*(phase.value for phase in ALL), *(phase.value for phase in (*SEARCHING, *BRAKED) if phase.value in there)]
 
 
 def _short(cell: Cell | None) -> str:
@@ -112,12 +180,14 @@ def _short(cell: Cell | None) -> str:
     return f"{text + ('' if cell.met else '!'):>12}"
 
 
-def _rounded(cell: Cell | None) -> str:
+def rounded(cell: Cell | None) -> str:
+    """Return what stands in a place of the matrix."""
     if cell is None:
         return ""
     if cell.fault in PROCESS_FAULTS:  # in real time no two runs are the same
         return cell.expected + ("" if cell.met else " **missed**")
-    return f"{cell.expected} {_up(cell.travel)} / {_up(cell.bound)}" + ("" if cell.met else " **missed**")
+    letter = f"{cell.observed} limit," if cell.limit else cell.expected
+    return f"{letter} {_up(cell.travel)} / {_up(cell.bound)}" + ("" if cell.met else " **missed**")
 
 
 def _plain(distance: float) -> str:
@@ -126,12 +196,23 @@ def _plain(distance: float) -> str:
 
 
 def _up(distance: float) -> str:
-    """Round up: to a tenth below 1, to a whole below 20, to two digits above."""
+    """Round up: to one digit below 1, to a whole below 20, to two digits above."""
     if distance <= 0.0:
         return "0"
-    digits = 1 if distance < 1.0 else 0 if distance < 20.0 else -max(0, math.floor(math.log10(distance)) - 1)
+    digits = (
+        _digits_below_1(distance)
+        if distance < 1.0
+        else 0
+        if distance < 20.0
+        else -max(0, math.floor(math.log10(distance)) - 1)
+    )
     scale = 10.0**digits
     return f"{math.ceil(distance * scale - 1e-9) / scale:g}"
+
+
+def _digits_below_1(distance: float) -> int:
+    """Return the decimals that show one digit of a distance, at most a thousandth of the unit."""
+    return min(3, max(1, -math.floor(math.log10(distance))))
 
 
 def _finite(value: float) -> float | None:
@@ -177,7 +258,7 @@ dl {{ display: grid; grid-template-columns: max-content 1fr; gap: .25rem .7rem; 
 against the largest distance that the limits allow, in {unit}. Where a fault is tolerated, the travel is the largest
 distance from the same move without it. Point at a cell for the details.</p>
 <dl>{legend}</dl>
-<div class="scroll"><table><thead><tr><th></th><th>fault</th>{header}</tr></thead><tbody>{rows}</tbody></table></div>
+{tables}
 {missing}
 </body></html>
 """

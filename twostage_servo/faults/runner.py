@@ -4,12 +4,13 @@ import concurrent.futures
 import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from twostage_servo.config import load
-from twostage_servo.faults.campaign import Campaign, Cell
+from twostage_servo.faults.campaign import Campaign, Cell, NotApplicable
 from twostage_servo.faults.configuration import ConfigurationFaults
-from twostage_servo.faults.table import TABLE, Phase
+from twostage_servo.faults.table import PROCESS_FAULTS, TABLE, Phase
+from twostage_servo.machine import load_machine
 from twostage_servo.service.log import open_log
 
 CONFIGURATION_FAULTS = (47, 48)
@@ -17,7 +18,29 @@ CONFIGURATION_FAULTS = (47, 48)
 Report = Callable[[Cell, int, int], None]
 """Told each cell, how many are done, and how many there are."""
 
-_campaign: Campaign | None = None
+Wanted = Callable[[str, str, str], bool]
+"""Whether the cell of an axis, a fault's name and a phase is wanted."""
+
+_campaigns: dict[str, Campaign] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a campaign came to.
+
+    Attributes
+    ----------
+    cells
+        One for each fault in each phase in which there can be one, on each axis.
+    not_applicable
+        Those that there cannot be, with the reason.
+    units
+        The axes' units, by name.
+    """
+
+    cells: list[Cell]
+    not_applicable: list[NotApplicable]
+    units: dict[str, str]
 
 
 def run_campaign(
@@ -28,14 +51,15 @@ def run_campaign(
     faults: Sequence[int] = (),
     phases: Sequence[Phase] = tuple(Phase),
     processes: bool = True,
+    wanted: Wanted = lambda *_: True,
     report: Report = lambda *_: None,
-) -> list[Cell]:
-    """Run every fault that is asked for, in every phase in which it can happen.
+) -> Result:
+    """Run every fault that is asked for, in every phase in which it can happen, on every axis.
 
     Parameters
     ----------
     path, overrides
-        The configuration, as for :func:`twostage_servo.config.load`.
+        The configuration, as for :func:`twostage_servo.machine.load_machine`.
     seed
         Of everything that is random.
     faults
@@ -44,6 +68,8 @@ def run_campaign(
         Phases.
     processes
         Whether to run those faults as well that need real processes.
+    wanted
+        Which of the cells to run: a share of them.
     report
         Told of each cell.
 
@@ -52,17 +78,43 @@ def run_campaign(
     ConfigError
         If the configuration cannot be used.
     """
-    campaign = Campaign(load(path, overrides), seed)
-    wanted = [fault for fault in TABLE if not faults or fault.number in faults]
-    # By phase, so that a process runs the move without a fault once and keeps it.
+    machine = load_machine(path, overrides)
+    names = [loaded.config.axis.name for loaded in machine.axes]
+    campaigns = [Campaign(machine, seed, name) for name in names]
+    asked = [fault for fault in TABLE if not faults or fault.number in faults]
+    # By axis and phase, so that a process runs the move without a fault once and keeps it.
     tasks = sorted(
-        ((TABLE.index(fault), phase) for fault, phase in campaign.cells(wanted, phases)),
-        key=lambda task: tuple(Phase).index(task[1]),
+        (
+            (campaign.axis, TABLE.index(fault), phase)
+            for campaign in campaigns
+            for fault, phase in campaign.cells(asked, phases)
+            if wanted(campaign.axis, fault.name, phase.value)
+        ),
+        key=lambda task: (names.index(task[0]), tuple(Phase).index(task[2])),
     )
-    hosted = list(_hosted(faults, phases)) if processes else []
+    missing = [one for campaign in campaigns for one in campaign.not_applicable(asked, phases)]
+    hosted: list[tuple[int, Phase]] = []
     others: list[Cell] = []
-    if Phase.IDLE in phases and (not faults or set(faults) & set(CONFIGURATION_FAULTS)):
-        others = [c for c in ConfigurationFaults(path, overrides).cells() if not faults or c.fault in faults]
+    if machine.is_one_axis:
+        whole = machine.axes[0].config.axis.name
+        hosted = (
+            [task for task in _hosted(faults, phases) if wanted(whole, str(task[0]), task[1].value)]
+            if processes
+            else []
+        )
+        if Phase.IDLE in phases and (not faults or set(faults) & set(CONFIGURATION_FAULTS)):
+            others = [
+                cell
+                for cell in ConfigurationFaults(path, overrides).cells()
+                if (not faults or cell.fault in faults) and wanted(whole, cell.name, cell.phase)
+            ]
+            missing += [
+                one
+                for one in ConfigurationFaults(path, overrides).not_applicable()
+                if not faults or one.fault in faults
+            ]
+    else:
+        missing += list(_of_one_axis(faults, phases))
     total = len(tasks) + len(hosted) + len(others)
     cells: list[Cell] = []
 
@@ -72,19 +124,47 @@ def run_campaign(
 
     for cell in others:
         add(cell)
+    if tasks:
+        for cell in _run_simulated(tasks, path, overrides, seed):
+            add(cell)
+    for cell in _run_hosted(hosted, path, overrides, seed):
+        add(cell)
+    units = {loaded.config.axis.name: loaded.config.axis.unit for loaded in machine.axes}
+    return Result(sorted(cells, key=_order(names)), missing, units)
+
+
+def _order(axes: Sequence[str]) -> Callable[[Cell], tuple[int, ...]]:
+    phases = [phase.value for phase in Phase]
+    faults = [fault.name for fault in TABLE]
+
+    def order(cell: Cell) -> tuple[int, ...]:
+        return (
+            axes.index(cell.axis) if cell.axis in axes else 0,
+            cell.fault,
+            faults.index(cell.name) if cell.name in faults else 0,
+            phases.index(cell.phase),
+        )
+
+    return order
+
+
+def _of_one_axis(faults: Sequence[int], phases: Sequence[Phase]) -> Iterator[NotApplicable]:
+    """Yield what is not run on a machine, since it does not depend on how many axes there are."""
+    reason = "is run on the configuration of a single axis: `faults --config` with one of the machine's files"
+    for number in (*PROCESS_FAULTS, *CONFIGURATION_FAULTS):
+        if (not faults or number in faults) and Phase.IDLE in phases:
+            yield NotApplicable(number, "", Phase.IDLE.value, reason)
+
+
+def _run_simulated(
+    tasks: Sequence[tuple[str, int, Phase]], path: Path | None, overrides: Sequence[str], seed: int
+) -> Iterator[Cell]:
+    """Run cells on the processor's cores, each core with the moves without a fault that it needs."""
     workers = max(1, min(os.cpu_count() or 1, len(tasks)))
     context = multiprocessing.get_context("spawn")
     with concurrent.futures.ProcessPoolExecutor(workers, context, _begin, (path, tuple(overrides), seed)) as pool:
         for done in concurrent.futures.as_completed([pool.submit(_run, *task) for task in tasks]):
-            add(done.result())
-    for cell in _run_hosted(hosted, path, overrides, seed):
-        add(cell)
-    order = [phase.value for phase in Phase]
-    names = [fault.name for fault in TABLE]
-    return sorted(
-        cells,
-        key=lambda cell: (cell.fault, names.index(cell.name) if cell.name in names else 0, order.index(cell.phase)),
-    )
+            yield done.result()
 
 
 def _hosted(faults: Sequence[int], phases: Sequence[Phase]) -> Iterator[tuple[int, Phase]]:
@@ -114,17 +194,17 @@ def _run_hosted(
 
 
 def _begin(path: Path | None, overrides: Sequence[str], seed: int) -> None:
-    """Prepare a worker: its axis is designed once, and its service's log goes nowhere."""
-    global _campaign  # noqa: PLW0603 - a process of the pool has no other place for what all its tasks share
+    """Prepare a worker: its axes are designed once, and its service's log goes nowhere."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    _campaign = Campaign(load(path, overrides), seed)
+    machine = load_machine(path, overrides)
+    for loaded in machine.axes:
+        _campaigns[loaded.config.axis.name] = Campaign(machine, seed, loaded.config.axis.name)
 
 
-def _run(index: int, phase: Phase) -> Cell:
-    assert _campaign is not None  # noqa: S101 - the pool has begun
+def _run(axis: str, index: int, phase: Phase) -> Cell:
     with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
         writer = open_log("critical", nowhere)
         try:
-            return _campaign.run(TABLE[index], phase)
+            return _campaigns[axis].run(TABLE[index], phase)
         finally:
             writer.close()

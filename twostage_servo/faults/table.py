@@ -46,6 +46,10 @@ class Phase(enum.StrEnum):
     """It looks for its reference, at the velocity of the search."""
     JOGGING = "jogging"
     """It moves for as long as the operator asks for it."""
+    STOPPING = "stopping"
+    """It brakes since the operator's `stop` in a cruise."""
+    QUICK_STOPPING = "quick stopping"
+    """It brakes since the operator's `stop --quick` in a cruise."""
 
 
 PROCESS_FAULTS = (37, 38, 39, 42, 54)
@@ -58,6 +62,8 @@ ALL = (Phase.IDLE, *ARMED)
 SEARCHING = (Phase.HOMING, Phase.JOGGING)
 """Motion without a set-point: the severe faults begin in it as well."""
 EVERYWHERE = (*ALL, *SEARCHING)
+BRAKED = (Phase.STOPPING, Phase.QUICK_STOPPING)
+"""An operator's stop: an encoder that fails in it takes away what brakes the axis."""
 
 TOLERATED, HELD, STOPPED, QUICK, DISABLED, REFUSED = "T", "H", "S", "Q", "Z", "R"
 LETTERS = {
@@ -114,12 +120,22 @@ class Fault:
         The travel that it may cost where a move is refused, if it shows at all.
     needs
         Whether the axis' drive and settings have what the fault is about.
+    reason
+        What is missing where it has not.
+    why_not
+        Why an axis with such a configuration cannot have it; empty if it can.
     velocity_limit
         Whether the move runs at the velocity limit.
     shows_s
         How long after the axis has come to rest it may take to show, in s, on the axis of a configuration.
-    then
-        The more severe reaction in which the expected one may end, where the fault keeps it from working.
+    instead
+        A more severe reaction that may take the place of the expected one: where it travels less, or where the fault
+        keeps the expected one from working.
+    limit
+        What one encoder cannot tell in a phase, so that the fault is tolerated there within its bound; empty where it
+        can.
+    shared
+        Whether it is a fault of what all axes of a machine share, so that another axis may trip by it as well.
     note
         What the reader of the matrix should know.
     """
@@ -137,9 +153,13 @@ class Fault:
     idle_bound: Bound | None = None
     refused_bound: Bound | None = None
     needs: Callable[[DriveProfile, ProtocolSettings], bool] = lambda *_: True
+    reason: str = "the drive of this configuration has no such signal"
+    why_not: Callable[[Config], str] = lambda _: ""
     velocity_limit: bool = False
     shows_s: Callable[[Config], float] = lambda _: 0.0
-    then: str = ""
+    instead: str = ""
+    limit: Callable[[Phase], str] = lambda _: ""
+    shared: bool = False
     note: str = ""
 
     def budget(self, phase: Phase, expected: str) -> Bound:
@@ -237,6 +257,12 @@ def _stalls(duration_s: float) -> Expected:
     return expected
 
 
+def _unheard(config: Config, phase: Phase) -> str:
+    """Expect that a drive which hears nothing is told by its time-out; one that never says it is enabled, by a jam."""
+    never_enabled = phase is Phase.IDLE and config.protocol.feedback.enabled is False
+    return QUICK if never_enabled else DISABLED
+
+
 def _after_the_holder(config: Config, phase: Phase) -> str:
     """Expect what ``service.holder_lost`` says of a move; an axis at rest has nothing to stop."""
     policy = {"continue": TOLERATED, "stop": HELD, "disarm": HELD}[config.service.holder_lost]
@@ -252,6 +278,32 @@ def _ended(budget: Budget) -> float:
     return budget.stopping(budget.noticing_s(0), budget.limits.acceleration)
 
 
+def _counts(_: DriveProfile, protocol: ProtocolSettings) -> bool:
+    return protocol.feedback.counter is not False
+
+
+_UNCOUNTED = "the drive's feedback has no counter: a frame that comes twice, or late, is taken for a new one"
+
+
+def _tells_faults(_: DriveProfile, protocol: ProtocolSettings) -> bool:
+    return protocol.feedback.fault is not False or protocol.feedback.fault_code is not False
+
+
+_LEAST_GAIN = 0.5
+"""Share of its gain below which a plant is another one, which the model test tells."""
+
+
+def _ample_effort(config: Config) -> str:
+    """Say why the effort of an axis never saturates in a cruise: what is so weak does not answer as its model says."""
+    limits, true = config.axis.limits, config.simulation
+    share = abs(limits.velocity * true.pole / true.gain) / limits.effort
+    if drive_faults.WEAKNESS * share >= _LEAST_GAIN:
+        return ""
+    return (
+        f"the velocity limit takes {share:.0%} of the effort limit, so only a plant that is another one could need more"
+    )
+
+
 _D, _H, _R = drive_faults, host_faults, resource_faults
 
 TABLE: tuple[Fault, ...] = (
@@ -260,53 +312,67 @@ TABLE: tuple[Fault, ...] = (
     Fault(2, "as many frames lost in a row as the limit", bus_faults.lose_as_many_as_the_limit, QUICK, _stale,
           idle=TOLERATED, phases=EVERYWHERE),
     Fault(3, "5 % of the frames lost", bus_faults.lose_at_random, TOLERATED, _bridged),
-    Fault(4, "frames doubled", bus_faults.double, TOLERATED, _bridged),
-    Fault(5, "two frames in the wrong order", bus_faults.reorder, TOLERATED, _bridged),
+    Fault(4, "frames doubled", bus_faults.double, TOLERATED, _bridged, needs=_counts, reason=_UNCOUNTED),
+    Fault(5, "two frames in the wrong order", bus_faults.reorder, TOLERATED, _bridged, needs=_counts,
+          reason=_UNCOUNTED),
     Fault(6, "frames 10 to 90 % of a tick late", bus_faults.delay_within_a_tick, TOLERATED, _bridged),
     Fault(7, "a frame more than a tick late", bus_faults.delay_beyond_a_tick, TOLERATED, _bridged),
     Fault(8, "queue full, one command", bus_faults.refuse_to_send(1), TOLERATED, _followed),
     Fault(8, "queue full, two commands", bus_faults.refuse_to_send(2), QUICK,
-          lambda budget: budget.quick_stop(budget.noticing_s(2)), idle=TOLERATED),
+          lambda budget: budget.quick_stop(budget.noticing_s(2)), idle=TOLERATED, shared=True),
     Fault(9, "controller error-passive", bus_faults.error_passive, TOLERATED, _unnoticed, check=bus_error_reported),
-    Fault(10, "bus-off", bus_faults.bus_off, DISABLED, _command_timeout, check=came_back_disarmed, idle=TOLERATED),
+    Fault(10, "bus-off", bus_faults.bus_off, DISABLED, _command_timeout, check=came_back_disarmed, idle=TOLERATED,
+          shared=True),
     Fault(11, "interface down, or unplugged", bus_faults.interface_down, DISABLED, _command_timeout,
-          check=came_back_disarmed, idle=TOLERATED, phases=EVERYWHERE),
+          check=came_back_disarmed, idle=TOLERATED, phases=EVERYWHERE, shared=True),
     Fault(12, "a node babbles", bus_faults.babble, TOLERATED, _unnoticed),
-    Fault(12, "backlog: more frames than a tick reads", bus_faults.back_up, QUICK, _stale, phases=EVERYWHERE),
+    Fault(12, "backlog: more frames than a tick reads", bus_faults.back_up, QUICK, _stale, phases=EVERYWHERE,
+          shared=True),
     Fault(13, "another node commands the drive", bus_faults.foreign_command, DISABLED, _at_once, idle=REFUSED,
           phases=EVERYWHERE),
     Fault(14, "wrong length, kind and identifier", bus_faults.malformed, TOLERATED, _bridged, check=rejected_some),
-    Fault(15, "checksum wrong from now on", bus_faults.corrupt, QUICK, _stale, check=rejected_some),
-    Fault(15, "counter stands still", _D.repeat_counter, QUICK, _stale),
-    Fault(16, "transmit dead, receive alive", bus_faults.transmit_dead, DISABLED, _command_timeout, idle=DISABLED,
-          note="the drive's own time-out stops it"),
+    Fault(15, "checksum wrong from now on", bus_faults.corrupt, QUICK, _stale, check=rejected_some,
+          needs=lambda _, protocol: protocol.feedback.checksum is not False,
+          reason="the drive's feedback has no checksum: only the controllers' own CRC protects its frames"),
+    Fault(15, "counter stands still", _D.repeat_counter, QUICK, _stale, needs=_counts,
+          reason="the drive's feedback has no counter"),
+    Fault(16, "transmit dead, receive alive", bus_faults.transmit_dead, _unheard, _command_timeout,
+          note="the drive's own time-out stops it", shared=True),
     # The encoder
     Fault(17, "counter rolls over", lambda *_: None, TOLERATED, _unnoticed, prepare=_D.roll_over_ahead,
-          needs=lambda profile, _: profile.position_period > 0.0),
+          needs=lambda profile, _: profile.position_period > 0.0,
+          reason="the drive's position signal does not roll over"),
     Fault(18, "a single spike", _D.spike, TOLERATED, _bridged),
     Fault(19, "a jump that stays", _D.jump, QUICK, lambda budget: budget.implausible(), idle=TOLERATED,
           idle_bound=lambda budget: _D.LARGEST_JUMP * budget.limits.innovation + budget.followed(),
-          check=needs_homing, phases=EVERYWHERE, note="while disarmed it cannot be told from a push by hand"),
+          check=needs_homing, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED,
+          note="while disarmed it cannot be told from a push by hand"),
     Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
-          again=True),
+          again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
     Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
-          check=noticed_early, again=True, phases=EVERYWHERE),
-    Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True),
-    Fault(23, "position invalid", _D.not_a_number, QUICK, _stale),
+          check=noticed_early, again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
+    Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True,
+          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
+    Fault(22, "scale halved", _D.scaled(0.5), QUICK, lambda budget: budget.halved_scale(), idle=QUICK, again=True,
+          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
+    Fault(23, "position invalid", _D.not_a_number, QUICK, _stale, needs=lambda profile, _: profile.can_say_invalid,
+          reason="the drive's position signal has no value that says it is invalid"),
     Fault(24, "slow drift", _D.drift, TOLERATED, _followed,
           note="cannot be observed with one encoder: the axis follows it"),
     Fault(25, "coarse steps: limit cycle", _D.coarse, TOLERATED, _bridged),
     # Drive and plant
-    Fault(26, "fault bit", _D.fault_bit, DISABLED, _at_once, phases=EVERYWHERE),
+    Fault(26, "fault bit", _D.fault_bit, DISABLED, _at_once, phases=EVERYWHERE, needs=_tells_faults),
     Fault(27, "drive reboots", _D.reboot, DISABLED, _at_once, check=needs_homing,
-          needs=lambda profile, _: profile.heartbeat_id is not None),
+          needs=lambda profile, protocol: profile.heartbeat_id is not None
+          and protocol.heartbeat.boot_counter is not False,
+          reason="the drive has no heartbeat that counts its boots"),
     Fault(28, "drive ignores the effort", _D.ignore_effort, QUICK,
           lambda budget: budget.runaway(budget.noticing_s(0)), idle=QUICK, again=True,
-          then=DISABLED, note="the quick stop cannot work, so the drive is disabled in the end"),
+          instead=DISABLED, note="the quick stop cannot work, so the drive is disabled in the end"),
     Fault(29, "effort saturates: speed unreachable", _D.too_weak,
           {Phase.ACCELERATING: STOPPED, Phase.CRUISING: STOPPED, Phase.HOLDING: STOPPED},
           lambda budget: budget.unreachable_speed(_D.WEAKNESS),
-          idle=STOPPED, velocity_limit=True, check=told_in_time,
+          idle=STOPPED, velocity_limit=True, check=told_in_time, why_not=_ample_effort,
           phases=(Phase.IDLE, Phase.ACCELERATING, Phase.CRUISING, Phase.HOLDING)),
     Fault(30, "jam", _D.jam, QUICK, _unnoticed, idle=QUICK, again=True, check=within_jam_effort),
     Fault(31, "a load steps", _D.load_step, TOLERATED, _followed, phases=ARMED, check=arrived),
@@ -317,24 +383,26 @@ TABLE: tuple[Fault, ...] = (
           lambda budget: budget.quick_stop(budget.noticing_s(0)), idle=REFUSED, check=only_off_the_switch,
           needs=lambda _, protocol: protocol.feedback.positive_limit is not False),
     Fault(35, "heartbeat stops", _D.heartbeat_stops, DISABLED, _heartbeat,
-          needs=lambda profile, _: profile.heartbeat_id is not None),
+          needs=lambda profile, _: profile.heartbeat_id is not None, reason="the drive has no heartbeat"),
     # The host
     Fault(36, "host held up for 15 ms", _H.stall(0.015), _stalls(0.015), _stalled(0.015)),
-    Fault(36, "host held up for 50 ms", _H.stall(0.050), _stalls(0.050), _stalled(0.050), phases=EVERYWHERE),
-    Fault(36, "host held up for 500 ms", _H.stall(0.500), _stalls(0.500), _stalled(0.500), phases=EVERYWHERE,
+    Fault(36, "host held up for 50 ms", _H.stall(0.050), _stalls(0.050), _stalled(0.050), idle_bound=_bridged,
+          phases=EVERYWHERE, shared=True),
+    Fault(36, "host held up for 500 ms", _H.stall(0.500), _stalls(0.500), _stalled(0.500), idle_bound=_bridged,
+          phases=EVERYWHERE, shared=True,
           note="longer than the drive waits for commands: it has disabled itself when the missed ticks are noticed"),
     # The tick in which the defect shows sends no command.
     Fault(40, "a defect in the loop", _H.defect, QUICK,
-          lambda budget: budget.quick_stop(budget.noticing_s(1)), idle=REFUSED, check=ended_with_an_error),
+          lambda budget: budget.quick_stop(budget.noticing_s(1)), idle=REFUSED, check=ended_with_an_error, shared=True),
     Fault(40, "a defect in what listens to the loop", _H.defect_of_a_publisher, QUICK,
-          lambda budget: budget.quick_stop(budget.noticing_s(0)), idle=REFUSED, check=ended_with_an_error),
+          lambda budget: budget.quick_stop(budget.noticing_s(0)), idle=REFUSED, check=ended_with_an_error, shared=True),
     Fault(41, "processor hogged: every tick late", _H.hog, TOLERATED, lambda budget: budget.late(_H.LATEST_TICK)),
     # Operator and configuration
     Fault(43, "set-points out of range, NaN, infinite", _H.bad_set_points, REFUSED, _unnoticed, check=refused_all),
     Fault(44, "set-point in mid-move", _H.retarget, TOLERATED, _retargeted, phases=MOVING, check=continuous),
     Fault(45, "two clients", _H.second_client, REFUSED, _unnoticed, check=refused_all),
     Fault(46, "the client that commands dies", _H.client_dies, _after_the_holder, lambda budget: budget.stopping(
-        budget.noticing_s(0), budget.limits.acceleration)),
+        budget.noticing_s(0), budget.limits.acceleration), shared=True),
     Fault(49, "reload while armed", _H.reload, REFUSED, _unnoticed, phases=ARMED, check=refused_all),
     # Clock, disk, network
     Fault(50, "wall clock jumps by an hour", _H.wall_clock_jumps, TOLERATED, _unnoticed),
@@ -356,7 +424,7 @@ TABLE: tuple[Fault, ...] = (
     # The process
     *(
         Fault(61, f"signal {number.name}, twice", _R.receive(number), _after_a_signal, _ended,
-              phases=EVERYWHERE, check=_R.ended_with_the_drive_disabled)
+              phases=EVERYWHERE, check=_R.ended_with_the_drive_disabled, shared=True)
         for number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1)
     ),
     Fault(62, "a trip, and no descriptor is left", _R.no_descriptor_left, DISABLED, _at_once, idle=REFUSED,

@@ -1,4 +1,4 @@
-"""The running service, its drive, its bus and its clients in simulated time, each of which can be made to fail."""
+"""The running service, its drives, its bus and its clients in simulated time, each of which can be made to fail."""
 
 import asyncio
 import functools
@@ -17,6 +17,8 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.faults.companion import Companion
+from twostage_servo.machine import Machine
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.requests import REQUESTS
@@ -34,6 +36,9 @@ SERVICE, DRIVE = "service", "drive"
 
 OPERATOR = "operator"
 """The client who commands the axis."""
+
+_TO_REST_S = 3.0
+"""How long the other axes may take to come to rest."""
 
 _BUS = BusSettings(interface="socketcan", channel="can0", reopen_interval_ms=50.0)
 """What the simulated bus stands for: its error frames are those of Linux' SocketCAN."""
@@ -68,12 +73,16 @@ class HeldTicks(Ticks):
 
 
 class World:
-    """One axis in operation. Made by :func:`operate`.
+    """One axis in operation, with the others of its machine. Made by :func:`operate`.
 
     Attributes
     ----------
     service, station, drive, wire, ticks
-        The parts, each with its own ways to fail.
+        The parts, each with its own ways to fail; station and drive are those of the axis that has the fault.
+    companions, when_one_trips
+        The other axes of the machine, and what they do when one trips.
+    simulation
+        The true drive's settings.
     wall_offset_s
         How far the clock that stamps the frames has been set, in s.
     samples, keeps_samples
@@ -98,22 +107,25 @@ class World:
         A log that stands in for the usual one, with a reader that stands still until `log_released` is set.
     """
 
-    def __init__(self, loaded: LoadedConfig[Config]) -> None:
+    def __init__(self, machine: Machine, axis_name: str) -> None:
         loop = asyncio.get_running_loop()
         self.wall_offset_s = 0.0
         self.wire = Wire(lambda: loop.time() + self.wall_offset_s)
+        loaded = machine.axis(axis_name)
         bus = _BUS.with_frames_of(loaded.config.bus)
-        self.service: ServoService = build_service(loaded, bus, lambda _: self.wire.attach(SERVICE))
-        self.station = self.service.station()
+        self.service: ServoService = build_service(machine, bus, lambda _: self.wire.attach(SERVICE))
+        self.when_one_trips = machine.when_one_trips
+        self.station = self.service.station(axis_name)
+        self.simulation = loaded.config.simulation
         self.ticks = HeldTicks(self.service.ticks.period_s)
         self.service.ticks = self.ticks
         self.service.publishers.append(self._on_tick)
-        settings = loaded.config.simulation
-        self.drive = SimulatedDrive(settings, self.station.profile, loop.time())
-        link = Link(bus, self.station.profile.drive_identifiers, functools.partial(self.wire.attach, DRIVE))
-        at = self.wire.node(DRIVE)
-        self.node = DriveNode(self.drive, link, settings.cycle_ms / 1e3, arrival_s=lambda: at.next_arrival_s)
-        at.on_arrival = self.node.wake
+        self.drive, self.node = self._drive(loaded, DRIVE, bus)
+        self.companions = [
+            Companion(self.service.station(one.config.axis.name), *self._drive(one, one.config.axis.name, bus))
+            for one in machine.axes
+            if one is not loaded
+        ]
         self.samples: list[Sample] = []
         self.keeps_samples = True
         self.serving: asyncio.Task[None] | None = None
@@ -131,9 +143,20 @@ class World:
         self.held = ExitStack()
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
 
+    def _drive(self, loaded: LoadedConfig[Config], name: str, bus: BusSettings) -> tuple[SimulatedDrive, DriveNode]:
+        """Return the simulated drive of an axis, at a node of its own."""
+        settings = loaded.config.simulation
+        profile = self.service.station(loaded.config.axis.name).profile
+        drive = SimulatedDrive(settings, profile, asyncio.get_running_loop().time())
+        link = Link(bus, profile.drive_identifiers, functools.partial(self.wire.attach, name))
+        at = self.wire.node(name)
+        node = DriveNode(drive, link, settings.cycle_ms / 1e3, arrival_s=lambda: at.next_arrival_s - self.wall_offset_s)
+        at.on_arrival = node.wake
+        return drive, node
+
     @property
     def axis(self) -> Axis:
-        """The axis."""
+        """The axis that has the fault."""
         return self.station.axis
 
     @property
@@ -204,6 +227,8 @@ class World:
     def ask(self, request: str | dict[str, Any], client: str = OPERATOR) -> str | None:
         """Make a request of a client; return the code with which it is refused, or None if it was carried out."""
         line = request if isinstance(request, str) else json.dumps(request)
+        if self.companions and '"op": "reload"' not in line:
+            line = f'{line.rstrip()[:-1]}, "axis": {json.dumps(self.station.name)}}}'
         try:
             self.service.handle(REQUESTS.validate_json(line), client)
         except ValidationError:
@@ -211,6 +236,32 @@ class World:
         except Refused as refused:
             return refused.code
         return None
+
+    async def start_companions(self, longest_s: float) -> None:
+        """Arm the other axes and let them jog."""
+        for companion in self.companions:
+            self.service.publishers.append(companion.on_tick)
+        await self.until(lambda: all(companion.ready for companion in self.companions), longest_s)
+        for companion in self.companions:
+            companion.begin()
+        await self.until(lambda: all(companion.jogs for companion in self.companions), longest_s)
+
+    def forget_companions(self) -> None:
+        """Note from here on what the other axes do."""
+        for companion in self.companions:
+            companion.forget()
+
+    async def companions_complaint(self, *, shared: bool) -> str:
+        """Return what the other axes have done wrong; they are given the time to come to rest."""
+
+        def complaints() -> str:
+            tripped = self.axis.trip is not None
+            each = (one.complaint(self.when_one_trips, tripped=tripped, shared=shared) for one in self.companions)
+            return "; ".join(filter(None, each))
+
+        if complaints():
+            await self.until(lambda: not complaints(), _TO_REST_S)
+        return complaints()
 
     async def close(self) -> None:
         """End the clients, and let the log's reader go on."""
@@ -268,10 +319,21 @@ class World:
 
 
 @asynccontextmanager
-async def operate(loaded: LoadedConfig[Config]) -> AsyncIterator[World]:
-    """Run service and drive on the running loop, which has to be in simulated time, until the block ends."""
-    world = World(loaded)
-    driving = asyncio.create_task(world.node.run())
+async def operate(machine: Machine | LoadedConfig[Config], axis_name: str | None = None) -> AsyncIterator[World]:
+    """Run service and drives on the running loop, which has to be in simulated time, until the block ends.
+
+    Parameters
+    ----------
+    machine
+        What runs, or the configuration of its only axis.
+    axis_name
+        The axis that shall have the fault; None for the first.
+    """
+    if isinstance(machine, LoadedConfig):
+        machine = Machine.of(machine)
+    world = World(machine, axis_name or machine.axes[0].config.axis.name)
+    nodes = [world.node, *(companion.node for companion in world.companions)]
+    driving = [asyncio.create_task(node.run()) for node in nodes]
     world.serving = asyncio.create_task(world.service.run())
     world.serving.add_done_callback(world.look_without_ticks)
     try:
@@ -280,5 +342,6 @@ async def operate(loaded: LoadedConfig[Config]) -> AsyncIterator[World]:
         await world.close()
         world.service.shut_down()
         await asyncio.gather(world.serving, return_exceptions=True)
-        world.node.stop()
-        await driving
+        for node in nodes:
+            node.stop()
+        await asyncio.gather(*driving)

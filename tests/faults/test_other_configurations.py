@@ -1,0 +1,201 @@
+"""The campaign on axes of another unit, tick and drive, and on a machine of several axes."""
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from twostage_servo.axis.machine import Machine as AxisMachine
+from twostage_servo.config import Config, LoadedConfig, load
+from twostage_servo.faults.campaign import Campaign, Cell
+from twostage_servo.faults.table import BRAKED, TABLE, Phase
+from twostage_servo.faults.world import World
+from twostage_servo.machine import load_machine
+from twostage_servo.service.group import Group
+from twostage_servo.service.log import open_log
+
+pytestmark = pytest.mark.long
+
+CONFIGURATIONS = Path("config")
+OTHERS = sorted(path.stem for path in CONFIGURATIONS.glob("*.toml") if path.stem != "demo")
+SHARE = [(1, Phase.CRUISING), (2, Phase.SETTLING), (26, Phase.JOGGING), (30, Phase.IDLE), (36, Phase.HOLDING)]
+
+
+@pytest.fixture(autouse=True)
+def _quiet(tmp_path: Path) -> Iterator[None]:
+    with (tmp_path / "log").open("w") as nowhere:
+        writer = open_log("critical", nowhere)
+        yield
+        writer.close()
+
+
+def cells(campaign: Campaign, number: int, phase: Phase) -> list[Cell]:
+    return [campaign.run(fault, phase) for fault in TABLE if fault.number == number and phase in fault.phases]
+
+
+def configuration(name: str) -> Path:
+    return CONFIGURATIONS / f"{name}.toml"
+
+
+@pytest.mark.parametrize("name", ["free_running", "metres", "plain_drive", "rotary_table"])
+@pytest.mark.parametrize(("number", "phase"), SHARE)
+def test_a_share_of_the_faults_is_met_elsewhere(name: str, number: int, phase: Phase) -> None:
+    for cell in cells(Campaign(load(configuration(name)), seed=3), number, phase):
+        assert cell.met, cell
+
+
+def test_each_shipped_configuration_has_its_matrix_in_the_docs() -> None:
+    page = Path("docs/faults-of-other-configurations.md").read_text("utf-8")
+    assert re.findall(r"<!-- faults (\w+): begin -->", page) == OTHERS
+    assert "<!-- faults demo: begin -->" in Path("docs/faults.md").read_text("utf-8")
+
+
+# Units and ticks -----------------------------------------------------------------------------------------------------
+
+
+def in_metres() -> LoadedConfig[Config]:
+    """Return the demo's axis, counted in m: the same machine."""
+    loaded = load(None)
+    axis = loaded.config.axis
+    lengths = {"position_minimum", "position_maximum", "position_overrun", "velocity", "overspeed", "acceleration"}
+    lengths |= {"quick_stop_deceleration", "following_error_minimum", "innovation"}
+    overrides = [f"axis.limits.{name}={1e-3 * getattr(axis.limits, name)!r}" for name in lengths]
+    overrides += [
+        'axis.unit="m"', "axis.cruise_velocity=0.1", "axis.plant.gain=0.18", "axis.window.position=0.00005",
+        "axis.law.performance_index_ratio=50.0", "axis.observer.position_variance=1e-7",
+        "axis.observer.velocity_variance=1e-7", "axis.observer.measurement_variance=1e-8",
+        "axis.homing.velocity=0.02", "axis.homing.slow_velocity=0.005", "axis.homing.travel=1.0",
+        "axis.approach.distance=0.001", "protocol.feedback.position_scale=0.001", "simulation.gain=0.18",
+        "simulation.quantum=1e-6",
+    ]  # fmt: skip
+    return load(None, overrides)
+
+
+@pytest.mark.parametrize(
+    ("number", "phase"),
+    [
+        (2, Phase.CRUISING),
+        (19, Phase.JOGGING),
+        (21, Phase.ACCELERATING),
+        (30, Phase.IDLE),
+        (31, Phase.HOLDING),
+        (34, Phase.CRUISING),
+        (36, Phase.CHANGEOVER),
+        (43, Phase.IDLE),
+    ],
+)
+def test_the_same_axis_in_metres_goes_the_same_way(number: int, phase: Phase) -> None:
+    millimetres, metres = Campaign(load(None), seed=1), Campaign(in_metres(), seed=1)
+    for ours, theirs in zip(cells(millimetres, number, phase), cells(metres, number, phase), strict=True):
+        assert theirs.met, theirs
+        assert (theirs.observed, theirs.trip) == (ours.observed, ours.trip)
+        assert theirs.travel == pytest.approx(1e-3 * ours.travel, abs=5e-6)
+        assert theirs.bound == pytest.approx(1e-3 * ours.bound, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("tick_ms", "overrides"),
+    [
+        (
+            1.0,
+            ["axis.limits.stale_feedback_ms=3", "simulation.feedback_period_ms=2", "simulation.command_timeout_ms=30"],
+        ),
+        (
+            50.0,
+            [
+                "axis.limits.stale_feedback_ms=150",
+                "simulation.feedback_period_ms=100",
+                "axis.limits.innovation=3",
+                "simulation.command_timeout_ms=500",
+                "axis.limits.jam_time_ms=250",
+                "axis.limits.missed_ticks=1",
+            ],
+        ),
+    ],
+)
+@pytest.mark.parametrize(("number", "phase"), [(2, Phase.CRUISING), (23, Phase.HOLDING), (26, Phase.CRUISING)])
+def test_any_tick_will_do(tick_ms: float, overrides: list[str], number: int, phase: Phase) -> None:
+    campaign = Campaign(load(None, [f"service.tick_ms={tick_ms}", *overrides]), seed=1)
+    for cell in cells(campaign, number, phase):
+        assert cell.met, cell
+
+
+# What cannot be ------------------------------------------------------------------------------------------------------
+
+
+def test_what_a_drive_cannot_have_is_not_applicable_and_says_why() -> None:
+    campaign = Campaign(load(configuration("plain_drive")), seed=1)
+    reasons = {(one.fault, one.phase): one.reason for one in campaign.not_applicable()}
+    assert "no counter" in reasons[5, "cruising"]
+    assert "no heartbeat" in reasons[35, "holding"]
+    assert "no home switch" in reasons[2, "homing"]
+    ran = {(fault.name, phase.value) for fault, phase in campaign.cells()}
+    everything = {(fault.name, phase.value) for fault in TABLE for phase in fault.phases}
+    assert ran | {(one.name, one.phase) for one in campaign.not_applicable()} == everything
+    assert not ran & {(one.name, one.phase) for one in campaign.not_applicable()}
+    assert all(reason for reason in reasons.values())
+
+
+# Stopping ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("phase", BRAKED)
+def test_a_fault_in_a_stop_begins_while_the_axis_brakes(phase: Phase) -> None:
+    jump = next(fault for fault in TABLE if fault.number == 19)
+    seen: list[tuple[str, float]] = []
+
+    def look(world: World, random: Random) -> None:
+        seen.append((world.axis.state, world.drive.velocity))
+        jump.inject(world, random)
+
+    fault = dataclasses.replace(jump, inject=look)
+    assert Campaign(load(None, ["axis.limits.acceleration=400"]), seed=1).run(fault, phase).observed != "T"
+    ((state, velocity),) = seen
+    assert state == ("stopping" if phase is Phase.STOPPING else "quick_stopping")
+    assert abs(velocity) > 5.0
+
+
+# Several axes --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("policy", ["continue", "stop", "quick_stop", "disarm"])
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_the_others_do_what_the_machine_says(policy: str, axis: str) -> None:
+    machine = load_machine(configuration("two_axes"), [f"machine.when_one_trips={policy}"])
+    campaign = Campaign(machine, 1, axis)
+    for number, phase in ((26, Phase.CRUISING), (2, Phase.HOLDING), (1, Phase.CRUISING), (16, Phase.CRUISING)):
+        for cell in cells(campaign, number, phase):
+            assert cell.met, cell
+            assert cell.axis == axis
+
+
+def test_an_axis_that_goes_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Group, "react", lambda *_: None)
+    (cell,) = cells(Campaign(load_machine(configuration("two_axes")), 1, "x"), 26, Phase.CRUISING)
+    assert (cell.met, cell.wrong) == (False, "axis y is jogging, not holding")
+
+
+def test_an_axis_that_trips_with_another_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def trip_both(machine: AxisMachine, code: object, cause: str) -> None:
+        raise_trip(machine, code, cause)  # type: ignore[arg-type]
+        for other in axes:
+            if other is not machine:
+                raise_trip(other, code, cause)  # type: ignore[arg-type]
+
+    axes: list[AxisMachine] = []
+    make = AxisMachine.__init__
+
+    def remember(machine: AxisMachine, *given: object, **named: object) -> None:
+        make(machine, *given, **named)  # type: ignore[arg-type]
+        axes.append(machine)
+
+    raise_trip = AxisMachine.raise_trip
+    campaign = Campaign(load_machine(configuration("two_axes")), 1, "x")
+    fault = next(fault for fault in TABLE if fault.number == 26)
+    campaign._reference(Phase.CRUISING, fault)
+    monkeypatch.setattr(AxisMachine, "__init__", remember)
+    monkeypatch.setattr(AxisMachine, "raise_trip", trip_both)
+    assert "axis y tripped as well" in campaign.run(fault, Phase.CRUISING).wrong

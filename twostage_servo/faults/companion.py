@@ -1,0 +1,119 @@
+"""Another axis of the machine: it moves while the fault comes, and does then what `when_one_trips` says."""
+
+import contextlib
+from typing import TYPE_CHECKING
+
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import LATCHED, State
+from twostage_servo.simulation.drive import SimulatedDrive
+from twostage_servo.simulation.node import DriveNode
+from twostage_servo.ticks import Tick
+
+if TYPE_CHECKING:
+    from twostage_servo.service.group import GroupReaction
+    from twostage_servo.service.station import Station
+
+_LONGEST_RUN_S = 60.0
+"""For so long its way has to be free."""
+_FREE_SHARE = 0.9
+
+
+class Companion:
+    """An axis beside the one that has the fault.
+
+    Parameters
+    ----------
+    station
+        The axis in its service.
+    drive, node
+        Its simulated drive.
+
+    Attributes
+    ----------
+    station, drive, node
+        As given.
+    states
+        What it did since the fault, each state once.
+    """
+
+    def __init__(self, station: "Station", drive: SimulatedDrive, node: DriveNode) -> None:
+        self.station = station
+        self.drive = drive
+        self.node = node
+        self.states: set[State] = set()
+        self._velocity = 0.0
+        self._jogs = False
+
+    @property
+    def name(self) -> str:
+        """The axis' name."""
+        return self.station.name
+
+    @property
+    def ready(self) -> bool:
+        """Whether it can be armed."""
+        return self.station.axis.ready_to_arm
+
+    def begin(self) -> None:
+        """Arm it; it jogs as soon as it holds, to the side where there is more room."""
+        axis = self.station.axis
+        limits, place = axis.settings.limits, self.drive.position
+        if not axis.referenced:
+            axis.set_position(place)
+        up, down = limits.position_maximum - place, place - limits.position_minimum
+        speed = min(axis.settings.cruise_velocity, _FREE_SHARE * max(up, down) / _LONGEST_RUN_S)
+        self._velocity = speed if up >= down else -speed
+        self._jogs = True
+        axis.arm()
+
+    def forget(self) -> None:
+        """Begin to note what it does: the fault comes now."""
+        self.states = {self.station.axis.state}
+
+    def on_tick(self, tick: Tick) -> None:
+        """Keep jogging for as long as nothing has stopped it, as an operator does who holds a button."""
+        axis = self.station.axis
+        self.states.add(axis.state)
+        starts = self._jogs and axis.state is State.HOLDING
+        every = max(1, int(axis.settings.jog_timeout_ms / (4.0 * axis.design.period_s * 1e3)))
+        if starts or (axis.state is State.JOGGING and (tick.missed or tick.index % every == 0)):
+            with contextlib.suppress(Refused):
+                axis.jog(self._velocity)
+                self._jogs = False
+
+    @property
+    def jogs(self) -> bool:
+        """Whether it is on its way."""
+        return self.station.axis.state is State.JOGGING
+
+    def complaint(self, reaction: "GroupReaction", *, tripped: bool, shared: bool) -> str:
+        """Return what it did wrong, or nothing.
+
+        Parameters
+        ----------
+        reaction
+            What it should do when another axis trips.
+        tripped
+            Whether that one has tripped.
+        shared
+            Whether the fault is one of what all axes share, so that it may have tripped as well.
+        """
+        axis, name = self.station.axis, self.name
+        if axis.trip is not None:
+            return "" if shared else f"axis {name} tripped as well: {axis.trip.cause}"
+        if shared and not tripped:  # a lost operator, a bus that came back: what it does then is the fault's own row
+            return ""
+        wanted = {
+            "continue": {State.JOGGING},
+            "stop": {State.HOLDING},
+            "quick_stop": {State.HOLDING},
+            "disarm": {State.DISARMED},
+        }[reaction if tripped else "continue"]
+        if axis.state not in wanted:
+            return f"axis {name} is {axis.state}, not {' or '.join(wanted)}"
+        speed = abs(self.drive.velocity)
+        if State.JOGGING not in wanted and speed > axis.design.rest_velocity:
+            return f"axis {name} still moves at {speed:.4g}"
+        if tripped and reaction == "quick_stop" and State.QUICK_STOPPING not in self.states:
+            return f"axis {name} came to rest without its quick stop"
+        return f"axis {name} has latched" if self.states & LATCHED else ""
