@@ -43,7 +43,7 @@ class Machine:
         Where the service listens.
     """
 
-    def __init__(self, folder: Path, port: int, priority: int, *, apparatus_is_real_time: bool) -> None:
+    def __init__(self, folder: Path, port: int, priority: int, axes: int = 1, *, apparatus_is_real_time: bool) -> None:
         self.port = port
         self.priority = priority
         self.apparatus_is_real_time = apparatus_is_real_time
@@ -54,25 +54,34 @@ class Machine:
             "XDG_STATE_HOME": str(folder / "state"),
         }
         self._folder = folder
-        self._config = folder / "axis.toml"
-        self._config.write_text(_PORT.sub(f"port = {port}", _CONFIG.read_text(encoding="utf-8")), encoding="utf-8")
+        self._axes = [f"axis{number}" for number in range(axes)] if axes > 1 else []
+        self._config = folder / ("machine.toml" if self._axes else "axis.toml")
+        page = _PORT.sub(f"port = {port}", _CONFIG.read_text(encoding="utf-8"))
+        for number, name in enumerate(self._axes):
+            (folder / f"{name}.toml").write_text(_patient(page, name, number), encoding="utf-8")
+        files = ", ".join(f'"{name}.toml"' for name in self._axes)
+        self._config.write_text(
+            f'[service]\nlog_level = "warning"\n\n[machine]\naxes = [{files}]\n' if self._axes else page,
+            encoding="utf-8",
+        )
         self._far = _FAR
 
     @classmethod
     @contextlib.contextmanager
-    def running(cls, priority: int = 0) -> Iterator[Self]:
-        """Run a bus and a drive while the block runs; the services on it shall have this priority."""
+    def running(cls, priority: int = 0, axes: int = 1) -> Iterator[Self]:
+        """Run a bus and its drives while the block runs; the services on it shall have this priority."""
         with contextlib.ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="bench-")))
             told = json.loads(first_line(stack.enter_context(child(module("bus_side", "hub")))))
-            machine = cls(folder, told["port"], priority, apparatus_is_real_time=told["real_time"])
+            machine = cls(folder, told["port"], priority, axes, apparatus_is_real_time=told["real_time"])
             log = stack.enter_context((folder / "drive.log").open("w", encoding="utf-8"))
             stack.enter_context(child(machine.command("drive"), extra=machine.environment, stdout=log, stderr=log))
             yield machine
 
     def command(self, verb: str, *more: str) -> list[str]:
         """Return the command that starts the service or the drive, with more overrides."""
-        overrides = [word for override in (*_OVERRIDES, *more) for word in ("--set", override)]
+        common = () if self._axes else _OVERRIDES
+        overrides = [word for override in (*common, *more) for word in ("--set", override)]
         return [*PROGRAM, verb, "--config", str(self._config), *overrides]
 
     @contextlib.contextmanager
@@ -106,8 +115,22 @@ class Machine:
         if not service.driven:
             service.insist(op="arm")
             service.driven = True
-        service.insist(op="move", position=self._far, velocity=100.0)
+        where = {"positions": dict.fromkeys(self._axes, self._far)} if self._axes else {"position": self._far}
+        service.insist(op="move", velocity=100.0, **where)
         self._far = -self._far
+
+
+def _patient(page: str, name: str, number: int) -> str:
+    """Return a configuration as that of one of several axes, with the overrides that an axis alone is given."""
+    page = page.replace("[axis]", f"[protocol]\nidentifier_offset = {number}\n\n[axis]", 1)
+    page = page.replace('name = "x"', f'name = "{name}"', 1)
+    page = page.replace("[simulation]", "[simulation]\nhub = false", 1)
+    for override in _OVERRIDES:
+        key, _, value = override.rpartition("=")
+        page = re.sub(
+            rf"^{key.rpartition('.')[2]} = \S+", f"{key.rpartition('.')[2]} = {value}", page, flags=re.MULTILINE
+        )
+    return page
 
 
 class Service:

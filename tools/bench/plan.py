@@ -33,6 +33,8 @@ class Plan:
         Rounds over the kinds of clients, and how long the service is watched with each; 0 leaves them out.
     short_ticks_s
         How long the tick of 1 ms runs; 0 leaves it out.
+    stops
+        How often somebody stops beside each kind of load; 0 leaves it out.
     starts, asks, cpu_s
         Starts of the service, calls of `status`, and how long the service's share of a core is looked at.
     """
@@ -50,10 +52,11 @@ class Plan:
     client_rounds: int
     clients_s: float
     short_ticks_s: float
+    stops: int
     starts: int
     asks: int
     cpu_s: float
 
 
-FULL: Final = Plan(4, 4.0, 4, 6.0, 3.0, 40, 20_000, 1_000, 50_000, 1_000_000, 2, 10.0, 60.0, 5, 10, 15.0)
-QUICK: Final = Plan(1, 0.7, 1, 0.7, 1.0, 8, 2_000, 0, 1_000, 4_000, 0, 0.0, 0.0, 1, 3, 1.5)
+FULL: Final = Plan(4, 4.0, 4, 6.0, 3.0, 40, 20_000, 1_000, 50_000, 1_000_000, 2, 10.0, 60.0, 200, 5, 10, 15.0)
+QUICK: Final = Plan(1, 0.7, 1, 0.7, 1.0, 8, 2_000, 0, 1_000, 4_000, 0, 0.0, 0.0, 0, 1, 3, 1.5)

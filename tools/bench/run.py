@@ -21,7 +21,17 @@ from typing import Any, Final
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from bench import budgets, clients, control_step, frame_jitter, lateness, processes, simulated_time, whole_tick
+from bench import (
+    budgets,
+    clients,
+    control_step,
+    frame_jitter,
+    lateness,
+    processes,
+    simulated_time,
+    stop_latency,
+    whole_tick,
+)
 from bench.children import ChildError
 from bench.load import hogs, unloaded
 from bench.machine import Machine
@@ -30,7 +40,7 @@ from bench.scheduling import may_run_at
 from twostage_servo import __version__
 from twostage_servo.cli.output import CommandError
 
-PARTS: Final = ("lateness", "frames", "step", "tick", "simulation", "processes", "clients", "millisecond")
+PARTS: Final = ("lateness", "frames", "step", "tick", "simulation", "processes", "clients", "millisecond", "stop")
 _PART_OF: Final = {
     "tick_lateness_us": "lateness",
     "tick_lateness_us_loaded": "lateness",
@@ -48,6 +58,8 @@ _PART_OF: Final = {
     "clients_lateness_us": "clients",
     "clients_cpu_share": "clients",
     "millisecond_missed_share": "millisecond",
+    "stop_us": "stop",
+    "stop_millisecond_us": "stop",
 }
 """Which part measures a figure that a budget may be about."""
 
@@ -160,6 +172,17 @@ class Run:
             return
         with Machine.running(self._priority) as machine:
             self.result |= clients.measure_short_ticks(machine, self._plan, self._named("millisecond"))
+
+    def _stop(self) -> None:
+        if not self._plan.stops:
+            self.result["not_measured"]["stop_us"] = _NOT_QUICK
+            return
+        with Machine.running(self._priority) as machine, Machine.running(self._priority, 8) as of_many:
+            for key, tick_ms in (("stop_us", 10.0), ("stop_millisecond_us", 1.0)):
+                figures, missing = stop_latency.measure(
+                    machine, of_many, self._plan, self._named("stop"), tick_ms=tick_ms
+                )
+                self._take(key, figures, missing)
 
     def _take(self, key: str, figures: Mapping[str, Any], missing: Mapping[str, str]) -> None:
         self.result[key] = dict(figures)

@@ -77,6 +77,10 @@ class Client:
             self._socket.settimeout(_PARTING_S)
             with contextlib.suppress(CommandError):
                 self.request(op="release")
+        self.close()
+
+    def close(self) -> None:
+        """End the connection without giving the lease back: what was commanded follows `service.holder_lost`."""
         self._lines.close()
         self._socket.close()
 

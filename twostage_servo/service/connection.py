@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import select
 import socket
 import struct
@@ -48,8 +49,8 @@ class Connection:
         The other side sends no more.
     closed
         This side has closed it.
-    active
-        Number of the latest moment at which it was not idle.
+    read_s
+        When it was read the last time, on the loop's clock in s.
     busy
         In the middle of an answer.
     urgent
@@ -64,6 +65,7 @@ class Connection:
 
     def __init__(self, stream: socket.socket, number: int, longest: int, age: "RequestAge", empty_s: float) -> None:
         self._stream = stream
+        self._descriptor = stream.fileno()  # the loop's own look at a socket costs more than this
         self._longest = longest
         self._age = age
         self._empty_s = self.arrived_after_s = empty_s
@@ -75,7 +77,8 @@ class Connection:
         self._hangup = select.poll()
         self._hangup.register(stream, 0)  # POLLHUP and POLLERR come unasked
         self.ended = self.closed = self.busy = False
-        self.active = self.every = self.due = self.unsent = 0
+        self.every = self.due = self.unsent = 0
+        self.read_s = -math.inf
         self.axis: str | None = None
         self.urgent: Request | None = None
         self.task: asyncio.Task[None] | None = None
@@ -100,6 +103,11 @@ class Connection:
         line, _, rest = self._incoming.partition(b"\n")
         self._incoming = rest
         return bytes(line)
+
+    def end(self) -> None:
+        """Read no more from it, and forget what was read."""
+        self._incoming.clear()
+        self.ended = True
 
     def receive(self) -> None:
         """Read what there is, up to one line of the greatest length; never waits."""
@@ -131,12 +139,12 @@ class Connection:
             raise ConnectionClosedError(_CLOSED)
         loop, watched_since_s = asyncio.get_running_loop(), self._age.now_s()
         future = loop.create_future()
-        loop.add_reader(self._stream, wake, future)
+        loop.add_reader(self._descriptor, wake, future)
         try:
             await _among(self._readers, future)
         finally:
             if not self.closed:
-                loop.remove_reader(self._stream)
+                loop.remove_reader(self._descriptor)
         noticed_s = self._age.noticed_s(watched_since_s)
         if noticed_s is not None:
             self._empty_s = max(self._empty_s, noticed_s)
@@ -186,8 +194,8 @@ class Connection:
             return
         self.closed = True
         loop = asyncio.get_running_loop()
-        loop.remove_reader(self._stream)
-        loop.remove_writer(self._stream)
+        loop.remove_reader(self._descriptor)
+        loop.remove_writer(self._descriptor)
         self._outgoing.clear()
         for future in self._readers | self._takers:
             if not future.done():
@@ -207,7 +215,7 @@ class Connection:
             try:
                 sent = self._stream.send(data)
             except BlockingIOError:
-                asyncio.get_running_loop().add_writer(self._stream, self._flush)
+                asyncio.get_running_loop().add_writer(self._descriptor, self._flush)
                 return
             except OSError:
                 self._broken = True
@@ -217,7 +225,7 @@ class Connection:
                 self._outgoing[0] = data[sent:]
             else:
                 self._outgoing.popleft()
-        asyncio.get_running_loop().remove_writer(self._stream)
+        asyncio.get_running_loop().remove_writer(self._descriptor)
         for future in self._takers:
             wake(future)
 

@@ -1,27 +1,26 @@
 """The budget of connections: one for all of them, in whatever phase: it bounds descriptors, tasks and buffers."""
 
-import itertools
 from collections.abc import Iterator
 from typing import Final
 
 from twostage_servo.service.connection import Connection
 
 MOST: Final = 64
+_NEVER: Final = 4
 
 
 class Connections:
     """All connections that are not closed, those that only have to be emptied among them."""
 
     def __init__(self) -> None:
-        self._all: set[Connection] = set()
-        self._moments = itertools.count(1)
+        self._all: dict[Connection, None] = {}  # who has been idle the longest stands first
 
     def __len__(self) -> int:
         """Return their number."""
         return len(self._all)
 
     def __iter__(self) -> Iterator[Connection]:
-        """Iterate over those that are there now."""
+        """Iterate over those that are there now, from the one that has been idle the longest."""
         return iter(tuple(self._all))
 
     def __contains__(self, connection: object) -> bool:
@@ -35,16 +34,17 @@ class Connections:
 
     def add(self, connection: Connection) -> None:
         """Count a connection."""
-        self._all.add(connection)
-        self.touch(connection)
+        self._all[connection] = None
 
     def discard(self, connection: Connection) -> None:
         """Count it no more."""
-        self._all.discard(connection)
+        self._all.pop(connection, None)
 
     def touch(self, connection: Connection) -> None:
         """Note that a connection is not idle."""
-        connection.active = next(self._moments)
+        if connection in self._all:
+            del self._all[connection]
+            self._all[connection] = None
 
     def the_one_to_go(self, holder: str | None) -> Connection | None:
         """Return the one that makes room: who has hung up goes first, then who has been idle the longest.
@@ -57,10 +57,20 @@ class Connections:
         holder
             The client that commands.
         """
-        candidates = [connection for connection in self._all if connection.peer != holder]
-        return min(candidates, key=_worth, default=None)
+        best: Connection | None = None
+        least = _NEVER
+        for connection in self._all:
+            worth = _NEVER if connection.peer == holder else _worth(connection)
+            if worth < least:
+                best, least = connection, worth
+                if worth == 0:
+                    break
+        return best
 
 
-def _worth(connection: Connection) -> tuple[bool, bool, bool, int]:
-    in_use = not connection.ended
-    return connection.urgent is not None, in_use, in_use and connection.busy, connection.active
+def _worth(connection: Connection) -> int:
+    if connection.urgent is not None:
+        return 3
+    if connection.ended:
+        return 0
+    return 2 if connection.busy else 1

@@ -41,6 +41,8 @@ _PAUSE_S: Final = 1.0
 """After a client that could not be let in."""
 _LINGER_S: Final = 1.0
 """For so long a client that sends no more may take what it was answered."""
+_SILENT_TICKS: Final = 10
+"""Ticks without a request after which a client is no flood."""
 _NO_ROOM: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 _TOO_MANY: Final = (
     f"{MOST} clients are the most, and this one was idle the longest. Connect again; "
@@ -164,7 +166,8 @@ class ControlSocket:
         if self._connections.full:
             self._make_room()
         self._connections.add(connection)
-        connection.task = task = asyncio.create_task(self._serve(connection))
+        first = self._read(connection) if connection.has_line else None
+        connection.task = task = asyncio.create_task(self._serve(connection, first))
         self._serving.add(task)
         task.add_done_callback(self._serving.discard)
 
@@ -191,10 +194,12 @@ class ControlSocket:
 
     # What they ask ---------------------------------------------------------------------------------------------------
 
-    async def _serve(self, connection: Connection) -> None:
+    async def _serve(self, connection: Connection, request: Request | None) -> None:
+        """Serve a client, whose first request may have been read already, until it has asked for all that it wants."""
         try:
-            while (request := await self._next_request(connection)) is not None:
+            while request is not None or (request := await self._next_request(connection)) is not None:
                 await self._answer(connection, request)
+                request = None
             self._service.desk.leave(connection.peer)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_LINGER_S):
@@ -213,23 +218,31 @@ class ControlSocket:
                 if connection.ended:
                     return None
                 await connection.readable()
-            async with self._turns.turn(Rank.READING):
+            async with self._turns.turn(self._rank_of_reading(connection)):
                 request = self._read(connection)
             if request is not None:
                 return request
-            if connection.too_long:
-                return None
             if not connection.ended:  # at the end it is not waited for that long
                 await connection.taken()
             await asyncio.sleep(0)
 
+    def _rank_of_reading(self, connection: Connection) -> Rank:
+        """Return how a client comes to speak: whoever has been silent for a while need not wait behind those who flood.
+
+        It may be the operator, who wants to stop.
+        """
+        silent_s = asyncio.get_running_loop().time() - connection.read_s
+        return Rank.CONNECTION if silent_s >= _SILENT_TICKS * self._service.ticks.period_s else Rank.READING
+
     def _read(self, connection: Connection) -> Request | None:
         """Read once; return a request if there is one, and answer what is none."""
+        connection.read_s = asyncio.get_running_loop().time()
         if not connection.has_line:
             connection.receive()
         if connection.too_long:
             text = f"a request must fit in {self._longest} bytes"
             connection.write(answers.failure("bad_request", text))
+            connection.end()
             return None
         if not connection.has_line:
             return None

@@ -27,7 +27,7 @@ class Rank(enum.Enum):
     WATCHING = 4
 
 
-_GUARANTEED: Final = {Rank.CONNECTION: 0.1, Rank.READING: 0.1}
+_GUARANTEED: Final = {Rank.CONNECTION: 0.2, Rank.READING: 0.1}
 """Share of a period after which a rank gives way to those behind it, if one of them waits."""
 
 
@@ -38,8 +38,8 @@ class Turns:
     into the moment at which the loop has to wait for the deadline. A turn lasts from the moment at which it is given,
     so that the passes of the loop between two turns count as well. At least one of each rank is given after each tick,
     however little time there is. Urgent ones may use all of the time that there is. Letting clients in and reading what
-    they ask go before carrying it out, since a `stop` may be among it, but only up to 0.1 of a period each while
-    others wait.
+    they ask go before carrying it out, since a `stop` may be among it, but only up to 0.2 and 0.1 of a period
+    while others wait.
 
     Parameters
     ----------
