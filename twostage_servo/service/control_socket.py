@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["ControlSocket", "SocketInUseError"]
 
-_BACKLOG: Final = MOST
+_BACKLOG: Final = 32
 _MOST_A_TURN: Final = 16
 """Clients let in, or pieces of an answer made, in one turn, however little time they seem to take."""
 _PAUSE_S: Final = 1.0

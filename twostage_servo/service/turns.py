@@ -8,7 +8,9 @@ from collections.abc import AsyncIterator
 from typing import Final
 
 _SHARE: Final = 0.3
-"""Share of a period for all clients together: who floods the service takes no more of a core, and no tick waits."""
+"""Share of a period for all requests together: who floods the service takes no more of a core, and no tick waits."""
+_SHARE_OF_CONNECTIONS: Final = 0.3
+"""Share of a period for letting clients in: whoever wants to stop must not wait long behind those who only connect."""
 _LONGEST_SHARE: Final = 0.2
 """Cap of what a turn is expected to take, as a share of the period: one long turn must not shut the others out."""
 _SLICE_SHARE: Final = 0.05
@@ -27,19 +29,19 @@ class Rank(enum.Enum):
     WATCHING = 4
 
 
-_GUARANTEED: Final = {Rank.CONNECTION: 0.2, Rank.READING: 0.1}
-"""Share of a period after which a rank gives way to those behind it, if one of them waits."""
+_SHARE_OF_READING: Final = 0.1
+"""Share of a period after which reading gives way to what has been read, if that waits."""
 
 
 class Turns:
     """Hands out turns, one at a time, while there is time for them: by rank, and first come, first served within one.
 
-    Between a tick and the next one turns may take 0.3 of a period in all, and none begins so late that it could last
-    into the moment at which the loop has to wait for the deadline. A turn lasts from the moment at which it is given,
-    so that the passes of the loop between two turns count as well. At least one of each rank is given after each tick,
-    however little time there is. Urgent ones may use all of the time that there is. Letting clients in and reading what
-    they ask go before carrying it out, since a `stop` may be among it, but only up to 0.2 and 0.1 of a period
-    while others wait.
+    Between a tick and the next one requests may take 0.3 of a period in all, and letting clients in as much; no turn
+    begins so late that it could last into the moment at which the loop has to wait for the deadline. A turn lasts from
+    the moment at which it is given, so that the passes of the loop between two turns count as well. At least one of
+    each rank is given after each tick, however little time there is. Urgent ones may use all of the time that there is.
+    Letting clients in and reading what they ask go before carrying it out, since a `stop` may be among it, reading only
+    up to 0.1 of a period while something that has been read waits.
 
     Parameters
     ----------
@@ -59,7 +61,7 @@ class Turns:
         self._longest_s = 0.0
         self._until_s = 0.0
         self._left_s = 0.0
-        self._left_of_rank_s: dict[Rank, float] = {}
+        self._left_of_reading_s = self._left_of_connections_s = 0.0
         self._given_s: float | None = None  # since when somebody has a turn that he has not begun
         self._called = False  # somebody has been given a turn and is not done with it
         self._ended = False
@@ -70,7 +72,8 @@ class Turns:
         """Begin to hand out turns after a tick; the loop has to be free from `until_s` on, on its clock in s."""
         self._until_s = until_s - self._longest_s
         self._left_s = _SHARE * self._period_s
-        self._left_of_rank_s = {rank: share * self._period_s for rank, share in _GUARANTEED.items()}
+        self._left_of_reading_s = _SHARE_OF_READING * self._period_s
+        self._left_of_connections_s = _SHARE_OF_CONNECTIONS * self._period_s
         self._owed = set(Rank)
         if self._given_s is not None:  # the tick itself is nobody's turn
             self._given_s = asyncio.get_running_loop().time()
@@ -97,9 +100,12 @@ class Turns:
             yield
         finally:
             taken_s = clock() - begun_s
-            self._left_s -= taken_s
-            if rank in self._left_of_rank_s:
-                self._left_of_rank_s[rank] -= taken_s
+            if rank is Rank.CONNECTION:
+                self._left_of_connections_s -= taken_s
+            else:
+                self._left_s -= taken_s
+            if rank is Rank.READING:
+                self._left_of_reading_s -= taken_s
             self._longest_s = min(max(taken_s, _FORGETTING * self._longest_s), self._largest_s)
             self._owed.discard(rank)
             self._called = False
@@ -124,10 +130,11 @@ class Turns:
             return False
         if rank is Rank.URGENT:
             return True
-        return self._left_s > 0.0 and (self._left_of_rank_s.get(rank, 1.0) > 0.0 or not self._one_waits_behind(rank))
-
-    def _one_waits_behind(self, rank: Rank) -> bool:
-        return any(queue for other, queue in self._queues.items() if other.value > rank.value)
+        if rank is Rank.CONNECTION:
+            return self._left_of_connections_s > 0.0
+        if rank is Rank.READING and self._left_of_reading_s <= 0.0 and self._queues[Rank.REQUEST]:
+            return False
+        return self._left_s > 0.0
 
     def _call_next(self) -> None:
         for rank, queue in self._queues.items():
