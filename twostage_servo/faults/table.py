@@ -9,7 +9,7 @@ from random import Random
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
 from twostage_servo.config import Config
-from twostage_servo.faults import bus_faults, drive_faults, host_faults, resource_faults
+from twostage_servo.faults import bus_faults, client_faults, drive_faults, host_faults, resource_faults
 from twostage_servo.faults.budget import Budget
 from twostage_servo.faults.checks import (
     Check,
@@ -421,6 +421,15 @@ TABLE: tuple[Fault, ...] = (
           phases=EVERYWHERE, check=told_how_far, note="it cannot be told from a push by hand: told, not tripped"),
     Fault(57, "heartbeat says fault, feedback does not", _D.contradiction, DISABLED,
           lambda budget: budget.contradicted(), idle=DISABLED, phases=EVERYWHERE, needs=_contradicts),
+    # Clients
+    Fault(58, "client gone with a request under way", client_faults.leave_too_soon, TOLERATED, _unnoticed,
+          phases=EVERYWHERE, check=client_faults.was_dropped),
+    Fault(59, "half-closed clients that do not read", client_faults.half_closed, TOLERATED, _unnoticed,
+          phases=EVERYWHERE, check=client_faults.serves_others),
+    Fault(60, "heavy lines from 55 clients", client_faults.heavy_lines, TOLERATED, _unnoticed,
+          phases=EVERYWHERE, check=client_faults.serves_others),
+    Fault(66, "old request after a freeze", client_faults.freeze, _stalls(client_faults.FREEZE_S),
+          _stalled(client_faults.FREEZE_S), phases=EVERYWHERE, check=client_faults.has_expired),
     # The process
     *(
         Fault(61, f"signal {number.name}, twice", _R.receive(number), _after_a_signal, _ended,

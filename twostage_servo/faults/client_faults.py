@@ -1,0 +1,127 @@
+"""Injections by clients of the control socket: those who leave too soon, do not read, or ask for too much at once."""
+
+import asyncio
+import contextlib
+import json
+import socket
+from random import Random
+from typing import Any, Final
+
+from twostage_servo.faults.host_faults import stall
+from twostage_servo.faults.world import OPERATOR, World
+from twostage_servo.service.request_reading import LONGEST_LINE
+from twostage_servo.service.turns import Rank
+
+FREEZE_S: Final = 1.5
+"""For so long the service stands still: longer than a command may wait."""
+_FLOOD_S: Final = 0.5
+_HALF_CLOSED: Final = 70
+_UNREAD: Final = 110
+"""Answers to one who reads none: more than the kernel takes."""
+_HEAVY: Final = 55
+_EXPIRED: Final = "expired"
+_DROPPED: Final = "dropped"
+
+
+def leave_too_soon(world: World, _: Random) -> None:
+    """Let a client ask for motion while others are served, and go before it is its turn."""
+    _count_what_is_carried_out(world)
+    world.service.desk.lease.release(OPERATOR)
+    world.spawn(_leave_too_soon(world))
+
+
+async def _leave_too_soon(world: World) -> None:
+    async with world.service.turns.turn(Rank.REQUEST):
+        async with world.client() as (_, writer):
+            writer.write(b'{"op": "move", "by": 1.0}\n{"op": "home", "position": 0.0}\n{"op": "arm"}\n')
+        await writer.wait_closed()
+        await asyncio.sleep(3.0 * world.period_s)
+    world.refusals.append(_DROPPED)
+
+
+def freeze(world: World, random: Random) -> None:
+    """Hold the host up, and let a client ask for motion meanwhile, one who waits for the answer."""
+    _count_what_is_carried_out(world)
+    world.service.desk.lease.release(OPERATOR)
+    stall(FREEZE_S)(world, random)
+    world.spawn(_ask_and_wait(world))
+
+
+async def _ask_and_wait(world: World) -> None:
+    await asyncio.sleep(2.0 * world.period_s)  # by then it stands still
+    async with world.client() as (reader, writer):
+        writer.write(b'{"op": "arm"}\n')
+        answer = json.loads(await reader.readline())
+        world.refusals.append(None if answer["ok"] else answer["error"]["code"])
+
+
+def half_closed(world: World, _: Random) -> None:
+    """Let more clients than are possible ask for much, say that no more will come, and read nothing."""
+    world.spawn(_half_closed(world))
+
+
+async def _half_closed(world: World) -> None:
+    async with world.client() as (_, writer):
+        path = writer.get_extra_info("peername")
+        with contextlib.ExitStack() as stack:
+            for _ in range(_HALF_CLOSED):
+                caller = stack.enter_context(socket.socket(socket.AF_UNIX))
+                caller.setblocking(False)
+                with contextlib.suppress(OSError):  # the queue is full, or the service has ended
+                    caller.connect(path)
+                    caller.send(_UNREAD * b'{"op": "status"}\n')
+                    caller.shutdown(socket.SHUT_WR)
+                await asyncio.sleep(_FLOOD_S / _HALF_CLOSED)
+
+
+def heavy_lines(world: World, _: Random) -> None:
+    """Let clients ask, again and again, for what takes the longest to be found wrong."""
+    end_s = world.now_s + _FLOOD_S
+    for number in range(_HEAVY):
+        world.spawn(_heavy_lines(world, number * 0.1 * world.period_s, end_s))
+
+
+async def _heavy_lines(world: World, begin_s: float, end_s: float) -> None:
+    head, foot = b'{"op":"move","positions":{"stop":""', b"}}\n"
+    body = b"".join(b',"%x":""' % number for number in range(LONGEST_LINE))[: LONGEST_LINE - len(head) - len(foot)]
+    line = head + body[: body.rindex(b",")] + foot
+    await asyncio.sleep(begin_s)
+    async with world.client() as (reader, writer):
+        while world.now_s < end_s:
+            writer.write(line)
+            if not await reader.readline():
+                return
+            await asyncio.sleep(world.period_s)
+
+
+async def was_dropped(world: World) -> str | None:
+    """Check that nothing was carried out for a client that had gone."""
+    return _judge(world, _DROPPED)
+
+
+async def has_expired(world: World) -> str | None:
+    """Check that what was asked during the freeze was refused after it."""
+    return _judge(world, _EXPIRED)
+
+
+async def serves_others(world: World) -> str | None:
+    """Check that a new client is answered, and that the others were kept within their number."""
+    async with world.client() as (reader, writer):
+        writer.write(b'{"op": "status"}\n')
+        line = await reader.readline()
+    return None if line and json.loads(line)["ok"] else f"a new client is answered {line!r}"
+
+
+def _judge(world: World, wanted: str) -> str | None:
+    told = ", ".join("carried out" if code is None else code for code in world.refusals)
+    return None if world.refusals == [wanted] else f"wanted is {wanted}, and what came is: {told or 'nothing'}"
+
+
+def _count_what_is_carried_out(world: World) -> None:
+    carry_out = world.service.desk.carry_out
+
+    def counted(request: Any, client: str) -> None:
+        carry_out(request, client)
+        world.refusals.append(None)
+
+    world.service.desk.carry_out = counted  # type: ignore[method-assign]
