@@ -338,7 +338,7 @@ def test_what_is_added_to_a_bound_is_told() -> None:
 def test_every_budget_and_goal_names_figures_that_a_run_has() -> None:
     tables = {"frame_jitter_us", "frame_jitter_us_loaded", "tick_lateness_us_loaded", "whole_tick_real_time_us",
               "startup_s", "status_s", "clients_lateness_us", "clients_cpu_share", "millisecond_missed_share",
-              "marginal_cost_growth", *FIGURES_OF_A_RUN}  # fmt: skip
+              "marginal_cost_growth", "stop_us", *FIGURES_OF_A_RUN}  # fmt: skip
     for kind in ("budget", "goal"):
         entries = budgets.read(kind, {})
         assert len(entries) > 5

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = ["ControlSocket", "SocketInUseError"]
 
 _BACKLOG: Final = 32
+"""Clients that may wait to be let in: the next one waits for those before it, and all of them are let in in a tick."""
 _MOST_A_TURN: Final = 16
 """Clients let in, or pieces of an answer made, in one turn, however little time they seem to take."""
 _PAUSE_S: Final = 1.0
