@@ -71,7 +71,7 @@ class AxisDesign:
     def build_model_test(self) -> ModelTest:
         """Return the test that compares the plant's answer with the model's."""
         plant = Plant(self.settings.plant.gain, self.settings.plant.pole)
-        return ModelTest(plant, self.period_s, self.noise)
+        return ModelTest(plant, self.period_s, self.noise, 1e-3 * self.settings.limits.innovation_time_ms)
 
     def changeover_distance(self, velocity: float) -> float:
         """Return the change-over distance p of equation (19), in axis unit, for a velocity in axis unit/s."""

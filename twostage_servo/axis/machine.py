@@ -176,13 +176,16 @@ class Machine:
             return
         trip = Trip(code, cause, self._tick)
         self.trips.setdefault(code, trip)
-        self.motion.blind = self.motion.blind or rule.blind
-        if rule.estimate_lost:
+        doubted = rule.reckoned and not self.motion.blind
+        if doubted:
             self.motion.distrust()
+        self.motion.blind = self.motion.blind or rule.blind
         self.referenced = self.referenced and not rule.unreferenced
         if self.trip is None:
             self.trip = trip
         elif after is self.state and not rule.while_disabled:
+            if doubted:  # braking goes on, but from another speed
+                self._brake(self._deceleration, "tripped")
             return
         else:
             self.escalation = trip
@@ -296,6 +299,8 @@ class Machine:
             return NO_EFFORT
         if law.changeovers != changeovers:
             self._after_changeover()
+        if self.motion.moves_after_all:
+            self.end_braking()
         for code, cause in self.supervision.violations(self.state, referenced=self.referenced):
             self.raise_trip(code, cause)
         self._check_switch_ahead()

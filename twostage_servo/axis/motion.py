@@ -16,6 +16,9 @@ _LONG_GAP_TICKS = 2
 _LONGEST_PREDICTION_MS = 1000.0
 """Time for which missed ticks are predicted one by one: a tick after a stall of hours must not take seconds."""
 
+_NOISE_DEVIATIONS = 3.0
+"""Standard deviations of the measured position by which an encoder has to go on for its axis to move."""
+
 _FADING = 0.998
 """Share that is left a tick later of the speed by which the model is judged: a time constant of 5 s."""
 
@@ -80,6 +83,9 @@ class Motion:
         self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
         self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
         self._resolution = 1.5 * resolution
+        self._stands_at: float | None = None  # where the encoder stood still, in axis unit, when it was given up
+        noise: float = design.noise.measurement_variance**0.5
+        self._least_motion = max(self._resolution, _NOISE_DEVIATIONS * noise)
         self._recent: deque[float] = deque(maxlen=design.ticks(design.settings.limits.jam_time_ms) + 1)
 
     def start(self) -> None:
@@ -89,6 +95,7 @@ class Motion:
         self.model_test.start(self.law.observer)
         self._gap.close()
         self._skipped = 0
+        self._stands_at = None
         self._speed_of_late = 0.0
         self._was_outlier = False
         self.blind = False
@@ -157,14 +164,13 @@ class Motion:
         if sample is None or lag:  # one from before a gap says nothing of how the plant has answered since
             self.model_test.predict(before)
         elif self._skipped >= _LONG_GAP_TICKS:
-            self.model_test.start(self.law.observer)
+            self.model_test.start(self.law.observer, before)
             self._skipped = 0
         else:
             self._skipped = 0
             # By the speed of the whole move: what a wrong pole does shows while the axis slows down.
             self._speed_of_late = max(_FADING * self._speed_of_late, abs(self.law.observer.velocity))
-            limit = self._gate(self._speed_of_late)
-            self.model_test.update(sample, before, self.law.observer, limit)
+            self.model_test.update(sample, before, self.law.observer, self._speed_of_late)
         if sample is not None:
             self._compare_with_the_last()
         return self._effort
@@ -205,10 +211,22 @@ class Motion:
         return self._tracking and self._samples_tracked > 1
 
     def distrust(self) -> None:
-        """Give up the whole estimate: what counts the wrong way says nothing of the speed, so nothing can brake it."""
+        """Give up the estimate as well as the feedback, and go on from what the model says of the speed."""
+        factor = self.model_test.better_factor or 0.0
+        reckoning = self.model_test.reckon(factor)
         self.blind = True
-        self.law.observer.reset(self.law.observer.position)
-        self.law.speed_reference = 0.0  # also where a stop by that estimate has begun
+        observer = self.law.observer
+        observer.velocity, observer.disturbance = reckoning
+        self.law.speed_reference = reckoning.velocity  # also where a stop by the former estimate has begun
+        self._stands_at = self._drive.position if factor == 0.0 else None
+
+    @property
+    def moves_after_all(self) -> bool:
+        """Whether an encoder that seemed to stand still shows motion: then the axis was jammed, and is free now."""
+        position = self._drive.position if self._drive.fresh else None
+        if self._stands_at is None or position is None:
+            return False
+        return abs(position - self._stands_at) > self._least_motion
 
     @property
     def recent_way(self) -> float:

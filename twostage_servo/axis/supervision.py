@@ -112,20 +112,20 @@ class Supervision:
             Whether positions can be trusted; else the position limits mean nothing.
         """
         yield from self._speed()
+        seeks_a_stop = state is State.HOMING and self._settings.homing.method == "hard_stop"
         if not self._motion.blind:
             yield from self._innovation()
+            yield from self._model(seeks_a_stop=seeks_a_stop)
         if state in BRAKING:
             yield from self._braking()
             if referenced and not self._motion.blind and state not in _QUICK:  # which could do no better
                 yield from self._position()
             return
-        if state is State.HOMING and self._settings.homing.method == "hard_stop":
-            yield from self._reversed()
+        if seeks_a_stop:
             return
         if referenced and state is not State.HOMING:
             yield from self._position()
         yield from self._jam()
-        yield from self._model()
         yield from self._following()
         yield from self._saturation()
 
@@ -217,23 +217,25 @@ class Supervision:
                 ),
             )
 
-    def _model(self) -> Iterator[Violation]:
-        test = self._motion.model_test
-        if (factor := test.better_gain_factor) is not None:
-            what = "the sign" if factor < 0.0 else "the scale"
-            yield (
-                TripCode.SIGN_REVERSED if factor < 0.0 else TripCode.MODEL_MISMATCH,
-                (
-                    f"a plant with {factor:g} times the model's gain explains the motion far better "
-                    "than the model, which "
-                    f"is off by {test.surprise:.3g} {self._settings.unit} of late: {what} of "
-                    "encoder or effort is wrong, "
-                    "or [axis.plant] is"
-                ),
-            )
-
-    def _reversed(self) -> Iterator[Violation]:
-        yield from (violation for violation in self._model() if violation[0] is TripCode.SIGN_REVERSED)
+    def _model(self, *, seeks_a_stop: bool) -> Iterator[Violation]:
+        """Watch whether encoder and plant do what they should; an axis that seeks a hard stop may be held up by it."""
+        test, unit = self._motion.model_test, self._settings.unit
+        factor = test.better_factor
+        if factor is None or (seeks_a_stop and 0.0 <= factor < 1.0):
+            return
+        surprise = f"what the model and plants like it expect is off by {test.surprise:.3g} {unit} of late"
+        if factor == 0.0:
+            at = f"{self._motion.law.observer.position:.6g} {unit}"
+            yield TripCode.JAM, f"from one sample to the next the encoder has come to stand at {at}: {surprise}"
+            return
+        what = "the sign" if factor < 0.0 else "the scale"
+        yield (
+            TripCode.SIGN_REVERSED if factor < 0.0 else TripCode.MODEL_MISMATCH,
+            (
+                f"{factor:g} times the motion that the model expects explains the samples far better: {surprise}; "
+                f"{what} of encoder or effort is wrong, or [axis.plant] is"
+            ),
+        )
 
     def _following(self) -> Iterator[Violation]:
         limits, unit = self._settings.limits, self._settings.unit

@@ -74,10 +74,11 @@ class TripRule:
         What the operator should do.
     blind
         Whether the feedback is no longer believed, so that the model alone has to brake.
-    estimate_lost
-        Whether even the speed is not known, so that a quick stop can do no more than take the effort away.
-    unreferenced
-        Whether positions can't be trusted any more until the axis has been homed again.
+    reckoned
+        Whether the estimate is in doubt as well, since the feedback has been wrong for some time: the model then brakes
+        from what it says of the speed itself.
+    position_in_doubt
+        Why positions can't be trusted any more until the axis has been homed again; empty if they can.
     while_disabled
         Whether an axis trips by it that is disabled, or has tripped, already.
     """
@@ -85,9 +86,14 @@ class TripRule:
     reaction: Reaction
     next_action: str
     blind: bool = False
-    estimate_lost: bool = False
-    unreferenced: bool = False
+    reckoned: bool = False
+    position_in_doubt: str = ""
     while_disabled: bool = False
+
+    @property
+    def unreferenced(self) -> bool:
+        """Whether the axis loses its reference."""
+        return bool(self.position_in_doubt)
 
 
 _QUICK, _DISABLE = Reaction.QUICK_STOP, Reaction.DISABLE
@@ -109,22 +115,28 @@ RULES: dict[TripCode, TripRule] = {
         _QUICK,
         "Check encoder and coupling; then `reset`, `arm`, and `home`: the position can't be trusted any more.",
         blind=True,
-        unreferenced=True,
+        position_in_doubt="the encoder may have lost counts, or gained some",
     ),
     TripCode.MODEL_MISMATCH: TripRule(
         _QUICK,
-        "Check the encoder's sign and scale, the drive's gain and the plant model ([axis.plant], `design`), then "
-        "`reset` and `arm`.",
+        "Check the encoder's scale, the drive's gain and the plant model ([axis.plant], `design`); then `reset`, `arm` "
+        "and `home`: what the encoder counted at a wrong scale is off.",
+        reckoned=True,
+        position_in_doubt="the encoder may count at another scale",
     ),
     TripCode.SIGN_REVERSED: TripRule(
         _QUICK,
-        "Turn the encoder or the effort round (protocol.feedback.position_scale, axis.plant.gain, the wiring), then "
-        "`reset` and `arm`.",
-        estimate_lost=True,
+        "Turn the encoder or the effort round (protocol.feedback.position_scale, axis.plant.gain, the wiring); then "
+        "`reset`, `arm`, and `home`: what the encoder counted the wrong way is off.",
+        reckoned=True,
+        position_in_doubt="the encoder may count the wrong way",
     ),
     TripCode.JAM: TripRule(
         _QUICK,
-        "Find what holds the axis, or the encoder that stands still, then `reset` and `arm`.",
+        "Find what holds the axis, or the encoder that stands still; then `reset`, `arm` and `home`: the axis may "
+        "have moved unseen.",
+        reckoned=True,
+        position_in_doubt="an encoder that stands still looks like an axis that does",
     ),
     TripCode.SPEED_UNREACHABLE: TripRule(
         Reaction.CONTROLLED_STOP,
@@ -148,7 +160,9 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.OVERSPEED: TripRule(
         _DISABLE,
-        "Check the encoder's sign and scale and the plant model, then `reset` and `arm`.",
+        "Check the encoder's sign and scale and the plant model; then `reset`, `arm`, and `home`: either the axis was "
+        "too fast, or its encoder is wrong.",
+        position_in_doubt="a speed that the axis should not reach may be the encoder's",
     ),
     TripCode.MISSED_TICKS: TripRule(
         _QUICK,
@@ -194,7 +208,7 @@ RULES: dict[TripCode, TripRule] = {
     TripCode.DRIVE_REBOOTED: TripRule(
         _DISABLE,
         "Check the drive's supply; then `reset`, `arm`, and `home`: the drive has forgotten where it was.",
-        unreferenced=True,
+        position_in_doubt="the encoder starts to count anew",
     ),
     TripCode.SAFE_TORQUE_OFF: TripRule(
         _DISABLE,
@@ -258,8 +272,8 @@ def trip_table() -> str:
     for code, rule in RULES.items():
         how = rule.reaction.name.lower().replace("_", " ")
         how += ", on the model alone" if rule.blind else ""
-        how += ", without effort" if rule.estimate_lost else ""
-        how += "; the reference is lost" if rule.unreferenced else ""
+        how += ", on the model alone and from its own speed" if rule.reckoned else ""
+        how += f"; the reference is lost: {rule.position_in_doubt}" if rule.unreferenced else ""
         how += "; while disabled as well" if rule.while_disabled else ""
         lines.append(f"| `{code}` | {how} | {rule.next_action} |")
     return "\n".join(lines)

@@ -1,44 +1,152 @@
-"""Does the plant still answer the effort as its model says? A test of four models against each other.
+"""Whether the encoder still shows what the plant does, and the plant answers the effort as its model says.
 
-Each hypothesis is a disturbance observer for a plant of another gain, fed with the same samples and efforts: the model
-itself, and the model with its gain reversed, cut to less than half, and more than doubled. That is what an encoder with
-its sign inverted or its scale wrong looks like from outside, or a drive whose gain has changed. Under the true
-hypothesis the innovations are smallest. A load that steps surprises all hypotheses alike, so it decides nothing; only
-the answer to the effort tells them apart. In an exponential window their squares are summed and compared:
+Hypotheses are tested against the model on every tick. Each is a disturbance observer of its own, fed with the same
+samples and efforts; under the true one the innovations are smallest. A load step raises all of them equally, so it does
+not discriminate: only the answer to the effort does, or a change that no load can make.
+
+*Accepted plants*: the model, the model 30 % off in gain or pole, and each with a tick of transport delay more. What the
+best of them is surprised by is what has to be explained: nothing is decided that a healthy axis could have done.
+
+*Another gain*: reversed, cut to less than half, more than doubled. That is an encoder with its sign or its scale wrong
+from the start, or a drive whose gain has changed. Squared innovations are summed in an exponential window and compared:
 multiple-model estimation (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
 Navigation*, 2001, section 11.6), with a threshold on the ratio in place of its probabilities.
 
-An encoder whose sign turns round in mid-move is a case of its own. At a constant speed it surprises all of them alike:
-they all expect the axis to go on. So a further hypothesis expects, from each tick anew, the mirrored motion on a
-mirrored plant, and is kept for as long as it explains more than the model does. Nothing else mirrors a motion from one
-sample to the next: not a load, which takes its time, and not a collision, whose rebound is slower.
+*A change of the encoder*: from some tick on it counts f times as much, -1 turned round, 0 stands still, 0.5 and 2 a
+scale. At a constant speed the gain says nothing, since a disturbance explains any constant speed. But the measured
+velocity changes by ``(f - 1) v`` from one sample to the next, which the mass of the axis forbids. Each of these begins
+anew, from the model's estimate, for as long as it explains no more than the accepted plants do, and so keeps the most
+likely tick of the change: a sequential test with restarts (E. S. Page, *Continuous inspection schemes*, Biometrika 41,
+1954).
+
+Whichever it is, what the encoder has shown since says nothing of the speed. The model does, run freely from the change
+on; :meth:`ModelTest.reckon` gives its state.
 """
 
-from typing import Final
+from math import inf
+from typing import Final, NamedTuple
 
-from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
-from twostage_servo.control.plant import Plant
+from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel, kalman_gain
+from twostage_servo.control.plant import DiscretePlant, Plant
+
+ACCEPTED: Final = tuple(
+    (gain, pole, delay)
+    for delay in (0, 1)
+    for gain, pole in ((1.0, 1.0), (0.7, 1.0), (1.3, 1.0), (1.0, 0.7), (1.0, 1.3))
+)
+"""Gain and pole, as multiples of the model's, and ticks of transport delay more, of plants that are good enough."""
 
 GAIN_FACTORS: Final = (-1.0, 0.45, 2.2)
-"""Gains that the model is tested against, as multiples of its own: a plant that is 30 % off stays nearer to 1."""
+"""Gains that are not, as multiples of the model's."""
+
+CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
+"""How many times as much the encoder counts after a change."""
 
 FORGETTING: Final = 0.93
 """Weight of the window for each tick of age: a time constant of 14 ticks."""
 
 EVIDENCE: Final = 8.0
-"""How many times smaller another hypothesis' sum of squares has to be."""
+"""How many times smaller the sum of squares of another gain has to be than that of the best accepted plant."""
 
-LEAST_SURPRISE: Final = 0.25
-"""Root of the model's sum of squared innovations, as a share of the limit for a single one, below which nothing is
-decided: what quantisation and dates leave. A scale needs twice as much: a pole that is off looks like one while the
-axis settles."""
+CHANGE_EVIDENCE: Final = 50.0
+"""The same for a change: a rebound from a collision would have to have 0.7 to 1.3 times the speed before."""
+
+CHANGE_TICKS: Final = 3
+"""Samples that a change has to explain: a spike is one, and comes back with the next."""
+
+CHANGE_SHARE: Final = 0.5
+"""Share of all surprise in the window that has to have come since the change: it is told only against an estimate that
+was right before. A load that has just stepped makes an estimate that is not."""
+
+NOISE_SHARE: Final = 1.25
+"""Surprise below which nothing is decided, in standard deviations of the measured position."""
+
+DATE_SHARE: Final = 0.25
+"""What is added to it for each axis unit/s of speed, as a share of the time by which dates of samples may be off."""
+
+JUMP_SHARE: Final = 0.5
+"""Share of that surprise which a change has to make in its first sample. What moves more slowly than that is held back
+by static friction just as well, and only the effort can tell: axis.limits.jam_effort."""
 
 
-MIRRORED_EVIDENCE: Final = 50.0
-"""Likewise for the mirrored motion: a rebound from a collision would have to have 0.7 to 1.3 times the speed before."""
+PROCESS_SHARE: Final = 0.1
+"""Share of the observer's process variances that the hypotheses assume. The law's observer forgets quickly, to follow
+every load; what is slower keeps the difference between two plants in sight for longer."""
 
-MIRRORED_TICKS: Final = 3
-"""Samples that a mirrored motion has to explain: a spike is one, and comes back with the next."""
+
+class Reckoning(NamedTuple):
+    """Where the model says the axis is, without what the encoder has shown since it is in doubt.
+
+    Attributes
+    ----------
+    velocity
+        In axis unit/s, by the scale that the encoder should have.
+    disturbance
+        In effort unit.
+    """
+
+    velocity: float
+    disturbance: float
+
+
+class _Change:
+    """The hypothesis that the encoder counts `factor` times as much since a tick of its own choosing."""
+
+    __slots__ = ("_offset", "_step", "_truth", "accepted_sum", "factor", "observer", "own_sum", "ticks")
+
+    def __init__(self, factor: float, plant: Plant, period_s: float, noise: NoiseModel) -> None:
+        self.factor = factor
+        model = plant.discretise(period_s)
+        if factor:
+            self.observer = _observer(factor, plant, period_s, noise)
+        else:  # what stands still has neither velocity nor an answer to the effort; its place may be off by noise
+            gain = kalman_gain(model, noise).current[0]
+            self.observer = DisturbanceObserver(DiscretePlant(period_s, 0.0, 0.0, 0.0, 0.0), (gain, 0.0, 0.0))
+        self._truth = DisturbanceObserver(model, NO_CORRECTION)
+        self._step = (1.0 - factor) * model.a12
+        self.begin(self._truth)
+
+    def begin(self, model: DisturbanceObserver) -> None:
+        """Suppose that the change comes with the next sample; the plant and its load go on as before."""
+        observer = self.observer
+        observer.continue_from(model)
+        self._offset = self._step * model.velocity
+        observer.position -= self._offset
+        observer.velocity = self.factor * model.velocity
+        self._truth.continue_from(model)
+        self.own_sum = self.accepted_sum = 0.0
+        self.ticks = 0
+
+    def shift(self, distance: float) -> None:
+        self.observer.position += distance
+
+    def predict(self, effort: float) -> None:
+        self.observer.predict(effort)
+        self._truth.predict(effort)
+
+    def update(self, sample: float, effort: float, model: DisturbanceObserver, least_square: float) -> None:
+        """Take a sample; the smallest squared innovation of the accepted plants is in (axis unit)²."""
+        observer = self.observer
+        observer.update(sample, effort)
+        self._truth.predict(effort)
+        own = self.own_sum = FORGETTING * self.own_sum + observer.innovation * observer.innovation
+        accepted = self.accepted_sum = FORGETTING * self.accepted_sum + least_square
+        self.ticks += 1
+        if accepted <= own:
+            self.begin(model)
+
+    def is_certain(self, least: float, window_sum: float) -> bool:
+        """Whether nothing else explains the samples; `least` is the surprise (axis unit) that it takes."""
+        return (
+            self.ticks >= CHANGE_TICKS
+            and abs(self._offset) > JUMP_SHARE * least
+            and self.accepted_sum - self.own_sum > least * least
+            and self.accepted_sum > CHANGE_EVIDENCE * self.own_sum
+            and self.accepted_sum > CHANGE_SHARE * window_sum
+        )
+
+    def reckon(self) -> Reckoning:
+        return Reckoning(self._truth.velocity, self._truth.disturbance)
 
 
 class ModelTest:
@@ -51,56 +159,67 @@ class ModelTest:
     period_s
         T_s in s.
     noise
-        What the observers assume; the same for all.
+        What the observers assume, the same for all. Its measurement variance is what the encoder's noise is taken for.
+    date_error_s
+        By how much dates of samples may be off, in s.
 
     Attributes
     ----------
     surprise
-        Root of the model's own sum of squared innovations in the window, in axis unit.
+        Root of the sum of the smallest squared innovations of the accepted plants in the window, in axis unit.
     """
 
     __slots__ = (
-        "_limit", "_mirrored", "_mirrored_sum", "_mirrored_ticks", "_observers", "_sum", "_sum_since", "_sums", "_way",
-        "surprise",
+        "_accepted", "_changes", "_date_share_s", "_effort_before", "_gains", "_least", "_least_at_rest", "_sum",
+        "_sums", "surprise",
     )  # fmt: skip
 
-    def __init__(self, plant: Plant, period_s: float, noise: NoiseModel) -> None:
-        self._observers = []
-        for factor in GAIN_FACTORS:
-            sampled = Plant(factor * plant.gain, plant.pole).discretise(period_s)
-            gain = kalman_gain(sampled, noise).predictor
-            self._observers.append(DisturbanceObserver(sampled, gain, noise.disturbance_memory))
-            if factor == -1.0:
-                self._mirrored = DisturbanceObserver(sampled, gain, noise.disturbance_memory)
-        self._way = 2.0 * self._mirrored.plant.a12
-        self._limit = 0.0
+    def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
+        self._accepted = [
+            (_observer(gain, Plant(plant.gain, pole * plant.pole), period_s, noise), delay)
+            for gain, pole, delay in ACCEPTED
+        ]
+        self._gains = [_observer(factor, plant, period_s, noise) for factor in GAIN_FACTORS]
+        self._changes = [_Change(factor, plant, period_s, noise) for factor in CHANGE_FACTORS]
+        self._least = self._least_at_rest = NOISE_SHARE * noise.measurement_variance**0.5
+        self._date_share_s = DATE_SHARE * date_error_s
+        self._effort_before = 0.0
         self._sums = [0.0] * len(GAIN_FACTORS)
         self._sum = 0.0
         self.surprise = 0.0
-        self._mirrored_sum = self._sum_since = 0.0
-        self._mirrored_ticks = 0
 
-    def start(self, observer: DisturbanceObserver) -> None:
-        """Begin afresh from the estimate of the law's observer."""
-        for hypothesis in self._observers:
-            hypothesis.continue_from(observer)
+    def start(self, model: DisturbanceObserver, effort: float = 0.0) -> None:
+        """Begin afresh from the estimate of the law's observer, and the effort (effort unit) that has acted."""
+        for observer, _ in self._accepted:
+            observer.continue_from(model)
+        for observer in self._gains:
+            observer.continue_from(model)
+        for change in self._changes:
+            change.begin(model)
+        self._effort_before = effort
         self._sums = [0.0] * len(GAIN_FACTORS)
         self._sum = self.surprise = 0.0
-        self._mirror(observer)
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
-        for hypothesis in self._observers:
-            hypothesis.position += distance
-        self._mirrored.position += distance
+        for observer, _ in self._accepted:
+            observer.position += distance
+        for observer in self._gains:
+            observer.position += distance
+        for change in self._changes:
+            change.shift(distance)
 
     def predict(self, effort: float) -> None:
         """Account for a period without a sample, in which `effort` (effort unit) acted."""
-        for hypothesis in self._observers:
-            hypothesis.predict(effort)
-        self._mirrored.predict(effort)
+        for observer, delay in self._accepted:
+            observer.predict(self._effort_before if delay else effort)
+        for observer in self._gains:
+            observer.predict(effort)
+        for change in self._changes:
+            change.predict(effort)
+        self._effort_before = effort
 
-    def update(self, sample: float, effort: float, model: DisturbanceObserver, limit: float) -> None:
+    def update(self, sample: float, effort: float, model: DisturbanceObserver, speed: float) -> None:
         """Take what is known of a tick.
 
         Parameters
@@ -109,42 +228,60 @@ class ModelTest:
             ``y(k-1)`` in axis unit and ``u(k-1)`` in effort unit.
         model
             The model's own observer, which has taken the sample already.
-        limit
-            What it may be at the present speed, in axis unit: the test is decided in shares of that.
+        speed
+            Largest speed of late, in axis unit/s: what dates are off by shows in proportion to it.
         """
-        innovation = model.innovation
-        self._limit = limit
-        self._sum = FORGETTING * self._sum + innovation * innovation
+        least_square = inf
+        for observer, delay in self._accepted:
+            observer.update(sample, self._effort_before if delay else effort)
+            square = observer.innovation * observer.innovation
+            if square < least_square:  # noqa: PLR1730 - `min` takes longer, ten times a tick
+                least_square = square
+        self._effort_before = effort
+        self._sum = FORGETTING * self._sum + least_square
         self.surprise = self._sum**0.5
+        self._least = self._least_at_rest + self._date_share_s * speed
         sums = self._sums
-        for index, hypothesis in enumerate(self._observers):
-            hypothesis.update(sample, effort)
-            sums[index] = FORGETTING * sums[index] + hypothesis.innovation * hypothesis.innovation
-        mirrored = self._mirrored
-        mirrored.update(sample, effort)
-        self._mirrored_sum = FORGETTING * self._mirrored_sum + mirrored.innovation * mirrored.innovation
-        self._sum_since = FORGETTING * self._sum_since + innovation * innovation
-        self._mirrored_ticks += 1
-        if self._sum_since <= self._mirrored_sum:
-            self._mirror(model)
-
-    def _mirror(self, model: DisturbanceObserver) -> None:
-        """Expect from here on that the axis goes back as it came; the plant is mirrored, its load is not."""
-        mirrored = self._mirrored
-        mirrored.continue_from(model)
-        mirrored.position -= self._way * model.velocity
-        mirrored.velocity = -model.velocity
-        self._mirrored_sum = self._sum_since = 0.0
-        self._mirrored_ticks = 0
+        for index, observer in enumerate(self._gains):
+            observer.update(sample, effort)
+            sums[index] = FORGETTING * sums[index] + observer.innovation * observer.innovation
+        for change in self._changes:
+            change.update(sample, effort, model, least_square)
 
     @property
-    def better_gain_factor(self) -> float | None:
-        """The gain, as a multiple of the model's, of a hypothesis that explains the window far better; else None."""
-        if self.surprise <= LEAST_SURPRISE * self._limit:
+    def better_factor(self) -> float | None:
+        """What the encoder counts, or the plant answers, as a multiple of what it should; None while it may be 1.
+
+        0 stands for an encoder, or an axis, that has stopped from one sample to the next.
+        """
+        if self.surprise <= self._least:
             return None
-        if self._mirrored_ticks >= MIRRORED_TICKS and self._sum_since > MIRRORED_EVIDENCE * self._mirrored_sum:
-            return -1.0
+        for change in self._changes:
+            if change.is_certain(self._least, self._sum):
+                return change.factor
         best = min(range(len(GAIN_FACTORS)), key=self._sums.__getitem__)
-        factor = GAIN_FACTORS[best]
-        enough = factor < 0.0 or self.surprise > 2.0 * LEAST_SURPRISE * self._limit
-        return factor if enough and self._sum > EVIDENCE * self._sums[best] else None
+        return GAIN_FACTORS[best] if self._sum > EVIDENCE * self._sums[best] else None
+
+    def reckon(self, factor: float) -> Reckoning:
+        """Return what the model says of the axis, where its encoder is in doubt.
+
+        A plant that answers f times as much, and one whose encoder counts f times as much, look the same; and the same
+        effort brings both to rest, that for the measured velocity divided by f.
+
+        Parameters
+        ----------
+        factor
+            :attr:`better_factor`, or 0 for an encoder that shows one and the same position.
+        """
+        for change in self._changes:
+            if change.factor == factor and (factor == 0.0 or change.is_certain(self._least, self._sum)):
+                return change.reckon()
+        observer = self._gains[GAIN_FACTORS.index(factor)]
+        return Reckoning(observer.velocity / factor, observer.disturbance)
+
+
+def _observer(factor: float, plant: Plant, period_s: float, noise: NoiseModel) -> DisturbanceObserver:
+    sampled = Plant(factor * plant.gain, plant.pole).discretise(period_s)
+    position, velocity, disturbance = (PROCESS_SHARE * variance for variance in noise.process_variance)
+    slower = NoiseModel((position, velocity, disturbance), noise.measurement_variance, noise.disturbance_memory)
+    return DisturbanceObserver(sampled, kalman_gain(sampled, slower).predictor, noise.disturbance_memory)
