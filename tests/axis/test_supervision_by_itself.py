@@ -30,7 +30,7 @@ def motion(**changes: Any) -> Any:
     whole = SimpleNamespace(
         law=law,
         nominal=SimpleNamespace(observer=SimpleNamespace(position=0.0, velocity=0.0)),
-        model_test=SimpleNamespace(better_gain_factor=None, surprise=1.0),
+        model_test=SimpleNamespace(better_factor=None, surprise=1.0),
         blind=False,
         implausible=0,
         implausible_distance=0.0,
@@ -127,21 +127,21 @@ def test_where_position_limits_count(state: State, watched: bool) -> None:
 
 
 def test_an_axis_that_brakes_or_looks_for_a_hard_stop_is_held_to_less() -> None:
-    broken = motion(following_error=1e6, model_test__better_gain_factor=0.5)
+    broken = motion(following_error=1e6, model_test__better_factor=0.5)
     both = [TripCode.MODEL_MISMATCH, TripCode.FOLLOWING_ERROR]
     assert codes(broken) == codes(broken, State.HOMING, method="switch") == both
     assert codes(broken, method="hard_stop") == both
     assert codes(broken, State.STOPPING) == []
     assert codes(broken, State.HOMING, method="hard_stop") == []
-    broken.model_test.better_gain_factor = -1.0
+    broken.model_test.better_factor = -1.0
     assert codes(broken, State.HOMING, method="hard_stop") == [TripCode.SIGN_REVERSED]
     assert codes(broken)[0] is TripCode.SIGN_REVERSED
 
 
 def test_the_cause_names_what_is_wrong() -> None:
     for changes, words in (
-        ({"model_test__better_gain_factor": -1.0}, "mm of late: the sign of encoder or effort is wrong"),
-        ({"model_test__better_gain_factor": 0.5}, "mm of late: the scale of encoder or effort is wrong"),
+        ({"model_test__better_factor": -1.0}, "mm of late: the sign of encoder or effort is wrong"),
+        ({"model_test__better_factor": 0.5}, "mm of late: the scale of encoder or effort is wrong"),
         ({"law__observer__velocity": 400.0}, "velocity is 400 mm/s; axis.limits.overspeed is 320"),
     ):
         causes = [

@@ -11,7 +11,8 @@ IMPLAUSIBLE_SAMPLES = 2
 """Samples in a row beyond the innovation limit that are a fault: one is a spike, two are not."""
 
 _LONG_GAP_TICKS = 2
-"""Missed ticks after which the model is tested afresh: what they hid would count as evidence against it."""
+"""Missed ticks after which the model is tested afresh, once the estimate is right again: what they hid would count as
+evidence against it."""
 
 _LONGEST_PREDICTION_MS = 1000.0
 """Time for which missed ticks are predicted one by one: a tick after a stall of hours must not take seconds."""
@@ -96,6 +97,7 @@ class Motion:
         self._gap.close()
         self._skipped = 0
         self._stands_at = None
+        self.law.effort_limit = self._limits.effort
         self._speed_of_late = 0.0
         self._was_outlier = False
         self.blind = False
@@ -112,6 +114,8 @@ class Motion:
     def stop(self, deceleration: float) -> None:
         """Come to rest with a deceleration in axis unit/s²; what the axis should do now is judged from here on."""
         self.law.stop(deceleration)
+        if self._stands_at is not None:  # what holds the axis, if it is not the encoder, must bear no more than it does
+            self.law.effort_limit = max(abs(self.law.effort), self._limits.jam_effort)
         self.nominal.continue_from(self.law)
 
     def shift(self, distance: float) -> None:
@@ -165,7 +169,8 @@ class Motion:
             self.model_test.predict(before)
         elif self._skipped >= _LONG_GAP_TICKS:
             self.model_test.start(self.law.observer, before)
-            self._skipped = 0
+            if not self._gap.allowance:
+                self._skipped = 0
         else:
             self._skipped = 0
             # By the speed of the whole move: what a wrong pole does shows while the axis slows down.

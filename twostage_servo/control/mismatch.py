@@ -32,7 +32,7 @@ from twostage_servo.control.plant import DiscretePlant, Plant
 ACCEPTED: Final = tuple(
     (gain, pole, delay)
     for delay in (0, 1)
-    for gain, pole in ((1.0, 1.0), (0.7, 1.0), (1.3, 1.0), (1.0, 0.7), (1.0, 1.3))
+    for gain, pole in ((1.0, 1.0), (0.7, 1.0), (1.3, 1.0), (1.0, 0.7), (1.0, 1.3), (1.3, 0.7))
 )
 """Gain and pole, as multiples of the model's, and ticks of transport delay more, of plants that are good enough."""
 
@@ -45,8 +45,8 @@ CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 FORGETTING: Final = 0.93
 """Weight of the window for each tick of age: a time constant of 14 ticks."""
 
-EVIDENCE: Final = 8.0
-"""How many times smaller the sum of squares of another gain has to be than that of the best accepted plant."""
+EVIDENCE: Final = (8.0, 5.0, 5.0)
+"""How many times smaller the sum of squares of each of them has to be than that of the best accepted plant."""
 
 CHANGE_EVIDENCE: Final = 50.0
 """The same for a change: a rebound from a collision would have to have 0.7 to 1.3 times the speed before."""
@@ -189,7 +189,11 @@ class ModelTest:
         self.surprise = 0.0
 
     def start(self, model: DisturbanceObserver, effort: float = 0.0) -> None:
-        """Begin afresh from the estimate of the law's observer, and the effort (effort unit) that has acted."""
+        """Begin afresh from the estimate of the law's observer, and the effort (effort unit) that has acted.
+
+        A steady innovation hides a velocity that is off by as much: what follows is no surprise, as if it had been so
+        for long.
+        """
         for observer, _ in self._accepted:
             observer.continue_from(model)
         for observer in self._gains:
@@ -197,8 +201,9 @@ class ModelTest:
         for change in self._changes:
             change.begin(model)
         self._effort_before = effort
-        self._sums = [0.0] * len(GAIN_FACTORS)
-        self._sum = self.surprise = 0.0
+        self._sum = model.innovation * model.innovation / (1.0 - FORGETTING)
+        self._sums = [self._sum] * len(GAIN_FACTORS)
+        self.surprise = self._sum**0.5
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
@@ -260,7 +265,7 @@ class ModelTest:
             if change.is_certain(self._least, self._sum):
                 return change.factor
         best = min(range(len(GAIN_FACTORS)), key=self._sums.__getitem__)
-        return GAIN_FACTORS[best] if self._sum > EVIDENCE * self._sums[best] else None
+        return GAIN_FACTORS[best] if self._sum > EVIDENCE[best] * self._sums[best] else None
 
     def reckon(self, factor: float) -> Reckoning:
         """Return what the model says of the axis, where its encoder is in doubt.
