@@ -67,7 +67,14 @@ def test_the_model_test_is_of_the_same_plant() -> None:
     test = demo().build_model_test()
     test.predict(1.0)
     expected = [factor * demo().plant.b1 for factor in (-1.0, 0.45, 2.2)]
-    assert [observer.position for observer in test._observers] == pytest.approx(expected)
+    assert [observer.position for observer in test._gains] == pytest.approx(expected)
+
+
+def test_the_model_test_takes_noise_and_dates_from_the_settings() -> None:
+    """A standard deviation of 0.1 mm and 3 ms, 0.8 mm at 100 mm/s in all; 1.25 of the one, a quarter of the other."""
+    test = demo().build_model_test()
+    test.update(0.0, 0.0, demo().build_law().observer, 100.0)
+    assert test._least == pytest.approx(1.25 * 0.1 + 0.25 * 0.003 * 100.0)
 
 
 @pytest.mark.parametrize("velocity", [100.0, -100.0])

@@ -131,17 +131,27 @@ def test_an_axis_that_brakes_or_looks_for_a_hard_stop_is_held_to_less() -> None:
     both = [TripCode.MODEL_MISMATCH, TripCode.FOLLOWING_ERROR]
     assert codes(broken) == codes(broken, State.HOMING, method="switch") == both
     assert codes(broken, method="hard_stop") == both
-    assert codes(broken, State.STOPPING) == []
+    assert codes(broken, State.STOPPING) == [TripCode.MODEL_MISMATCH]  # watched while braking as well
     assert codes(broken, State.HOMING, method="hard_stop") == []
     broken.model_test.better_factor = -1.0
     assert codes(broken, State.HOMING, method="hard_stop") == [TripCode.SIGN_REVERSED]
     assert codes(broken)[0] is TripCode.SIGN_REVERSED
+    broken.model_test.better_factor = 0.0  # what a hard stop does
+    assert codes(broken, State.HOMING, method="hard_stop") == []
+    assert codes(broken, State.STOPPING) == [TripCode.JAM]
+    broken.model_test.better_factor = 2.0  # which no hard stop does
+    assert codes(broken, State.HOMING, method="hard_stop") == [TripCode.MODEL_MISMATCH]
+
+
+def test_a_blind_axis_is_not_held_to_what_it_does_not_see() -> None:
+    blind = motion(blind=True, model_test__better_factor=-1.0)
+    assert codes(blind, State.TRIPPED_QUICK_STOP) == []
 
 
 def test_the_cause_names_what_is_wrong() -> None:
     for changes, words in (
-        ({"model_test__better_factor": -1.0}, "mm of late: the sign of encoder or effort is wrong"),
-        ({"model_test__better_factor": 0.5}, "mm of late: the scale of encoder or effort is wrong"),
+        ({"model_test__better_factor": -1.0}, "mm of late; the sign of encoder or effort is wrong"),
+        ({"model_test__better_factor": 0.5}, "mm of late; the scale of encoder or effort is wrong"),
         ({"law__observer__velocity": 400.0}, "velocity is 400 mm/s; axis.limits.overspeed is 320"),
     ):
         causes = [

@@ -1,17 +1,16 @@
-"""The test of four models against each other: it tells signs and scales, and is silent about loads and small errors."""
+"""The tests of encoder and plant: they tell signs and scales, and are silent about loads and plants 30 % off."""
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twostage_servo.control.mismatch import EVIDENCE, FORGETTING, GAIN_FACTORS, LEAST_SURPRISE, ModelTest
+from twostage_servo.control.mismatch import ModelTest
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.plant import Plant
 
 PERIOD_S = 0.01
 PLANT = Plant(180.0, 14.0)
 MODEL = PLANT.discretise(PERIOD_S)
-LIMIT = 0.5
 
 
 class Bench:
@@ -23,36 +22,44 @@ class Bench:
         self.test = ModelTest(PLANT, PERIOD_S, NoiseModel())
         self.test.start(self.observer)
         self.position = self.velocity = 0.0
+        self.counts, self.changed_at = 1.0, 0.0
         self.verdicts: list[float | None] = []
 
     def run(self, efforts: list[float], load: float = 0.0) -> "Bench":
         for effort in efforts:
-            self.observer.update(self.position, effort)
-            self.test.update(self.position, effort, self.observer, LIMIT)
+            sample = self.changed_at + self.counts * (self.position - self.changed_at)
+            self.observer.update(sample, effort)
+            self.test.update(sample, effort, self.observer, 0.0)
             total = effort - load
             self.position += self.plant.a12 * self.velocity + self.plant.b1 * total
             self.velocity = self.plant.a22 * self.velocity + self.plant.b2 * total
-            self.verdicts.append(self.test.better_gain_factor)
+            self.verdicts.append(self.test.better_factor)
         return self
+
+    def cruise(self, velocity: float) -> "Bench":
+        self.run([velocity * PLANT.pole / PLANT.gain] * 400)
+        self.verdicts.clear()
+        return self
+
+    def change(self, counts: float) -> None:
+        """Let the encoder count otherwise from the place of the latest sample on."""
+        self.counts, self.changed_at = counts, self.position
 
 
 RAMP = [0.3 * n for n in range(60)]
 
 
-@pytest.mark.parametrize(
-    ("factor", "verdict"), [(-1.0, -1.0), (2.0, 2.2), (2.4, 2.2), (0.5, 0.45), (0.4, 0.45), (-0.7, -1.0)]
-)
-def test_a_wrong_gain_is_told_and_which(factor: float, verdict: float) -> None:
-    verdicts = [one for one in Bench(factor).run(RAMP).verdicts if one is not None]
+@pytest.mark.parametrize("factor", [-1.0, -0.7, 0.4, 0.5, 2.0, 2.4])
+def test_a_wrong_gain_is_told_and_on_which_side_of_the_models_it_is(factor: float) -> None:
+    verdicts = {one for one in Bench(factor).run(RAMP).verdicts if one is not None}
     assert verdicts
-    assert set(verdicts) == {verdict}
+    assert verdicts <= ({-1.0} if factor < 0.0 else {0.45, 0.5} if factor < 1.0 else {2.0, 2.2})
 
 
 @pytest.mark.parametrize("factor", [0.7, 0.85, 1.0, 1.15, 1.3])
 @pytest.mark.parametrize("pole", [0.7, 1.0, 1.3])
 def test_a_plant_30_percent_off_is_not_told(factor: float, pole: float) -> None:
-    if factor / pole < 1.7:  # gain and pole off in opposite ways are nearly a doubled gain
-        assert set(Bench(factor, pole).run(RAMP[:40]).verdicts) == {None}
+    assert set(Bench(factor, pole).run(RAMP[:40]).verdicts) == {None}
 
 
 @settings(max_examples=40, deadline=None)
@@ -65,68 +72,87 @@ def test_a_load_decides_nothing(load: float, effort: float, when: int) -> None:
     assert set(bench.verdicts) == {None}
 
 
+@settings(max_examples=30, deadline=None)
+@given(load=st.floats(-3.0, 3.0), effort=st.floats(-10.0, 10.0), gap=st.integers(1, 40))
+def test_an_estimate_that_a_load_has_just_put_off_decides_nothing(load: float, effort: float, gap: int) -> None:
+    """Two loads after each other: the second one meets a velocity that is not what the model believes."""
+    bench = Bench(1.0)
+    bench.run([effort * min(1.0, n / 30.0) for n in range(120)])
+    bench.verdicts.clear()
+    bench.run([effort] * gap, load=load)
+    bench.run([effort] * 60, load=-load)
+    assert set(bench.verdicts) == {None}
+
+
 def test_an_effort_that_does_not_change_decides_nothing() -> None:
     """Whatever the gain: the disturbance takes the constant difference."""
     bench = Bench(1.0)
     bench.run([0.0] * 200)
     assert bench.test.surprise == 0.0
-    assert bench.test.better_gain_factor is None
+    assert bench.test.better_factor is None
 
 
-def test_the_numbers_are_the_sums_by_hand() -> None:
-    bench = Bench(1.0)
-    innovations, efforts = [0.4, -0.3, 0.2], [1.0, 2.0, 3.0]
-    others = [
-        DisturbanceObserver(
-            Plant(factor * 180.0, 14.0).discretise(PERIOD_S),
-            kalman_gain(Plant(factor * 180.0, 14.0).discretise(PERIOD_S), NoiseModel()).predictor,
-        )
-        for factor in GAIN_FACTORS
-    ]
-    sums = [0.0] * 3
-    for innovation, effort in zip(innovations, efforts, strict=True):
-        bench.observer.innovation = innovation
-        bench.test.update(0.1, effort, bench.observer, LIMIT)
-        for index, other in enumerate(others):
-            other.update(0.1, effort)
-            sums[index] = FORGETTING * sums[index] + other.innovation**2
-    own = (0.4**2 * FORGETTING + 0.3**2) * FORGETTING + 0.2**2
-    assert bench.test.surprise == pytest.approx(own**0.5)
-    least = min(sums)
-    factor = GAIN_FACTORS[sums.index(least)]
-    needed = LEAST_SURPRISE * LIMIT * (1.0 if factor < 0.0 else 2.0)
-    expected = factor if own**0.5 > needed and own > EVIDENCE * least else None
-    assert bench.test.better_gain_factor == expected
+@pytest.mark.parametrize("velocity", [20.0, 100.0, -100.0])
+@pytest.mark.parametrize("counts", [-1.0, 0.0, 0.5, 2.0])
+def test_a_change_of_the_encoder_in_a_cruise_is_told_by_its_third_sample(velocity: float, counts: float) -> None:
+    bench = Bench(1.0).cruise(velocity)
+    bench.change(counts)
+    effort = velocity * PLANT.pole / PLANT.gain
+    bench.run([effort] * 4)  # the first sample is that of the place where it changes
+    assert bench.verdicts == [None, None, None, counts]
 
 
 @pytest.mark.parametrize("velocity", [5.0, 10.0, 20.0, 100.0])
-def test_a_motion_that_is_mirrored_is_told_by_its_third_sample(velocity: float) -> None:
-    """At a constant speed, where the gain itself says nothing; its samples go back as they came."""
+def test_an_encoder_that_turns_round_is_told_at_a_quarter_of_that_speed_as_well(velocity: float) -> None:
+    bench = Bench(1.0).cruise(velocity)
+    bench.change(-1.0)
+    bench.run([velocity * PLANT.pole / PLANT.gain] * 6)
+    told = [one for one in bench.verdicts if one is not None]
+    assert bench.verdicts[:3] == [None] * 3
+    assert set(told) == {-1.0}
+
+
+@pytest.mark.parametrize("counts", [-1.0, 0.0, 0.5, 2.0])
+@pytest.mark.parametrize("load", [-2.0, 0.0, 2.0])
+def test_what_is_reckoned_after_a_change_is_the_true_speed(counts: float, load: float) -> None:
+    """Whatever the encoder has shown since: the plant is as it was, and the effort of each tick is known."""
     bench = Bench(1.0)
-    bench.run([velocity * 14.0 / 180.0] * 300)
-    bench.verdicts.clear()
-    place = bench.position
-    for _ in range(6):
-        bench.test.update(2.0 * place - bench.position, velocity * 14.0 / 180.0, update(bench, place), LIMIT)
-        bench.position += velocity * PERIOD_S
-        bench.verdicts.append(bench.test.better_gain_factor)
-    assert bench.verdicts[:3] == [None] * 3  # the first sample is still where the axis turned round
-    assert bench.verdicts[3] == -1.0
+    bench.run([100.0 * PLANT.pole / PLANT.gain + load] * 400, load=load)
+    bench.change(counts)
+    bench.run([12.0, 4.0, 9.0, -3.0], load=load)
+    factor = bench.test.better_factor
+    assert factor == counts
+    reckoning = bench.test.reckon(factor)
+    assert reckoning.velocity == pytest.approx(bench.velocity, rel=1e-3)
+    assert reckoning.disturbance == pytest.approx(-load, abs=1e-3)
 
 
-def update(bench: Bench, place: float) -> DisturbanceObserver:
-    bench.observer.update(2.0 * place - bench.position, bench.velocity * 14.0 / 180.0)
-    return bench.observer
+@pytest.mark.parametrize("factor", [-1.0, 2.0, 0.5])
+def test_what_is_reckoned_with_another_gain_brings_the_plant_to_rest(factor: float) -> None:
+    """The effort for what is reckoned, on the model, is the one that takes the plant's own speed away."""
+    bench = Bench(factor)
+    told = next(told for effort in RAMP if (told := bench.run([effort]).test.better_factor) is not None)
+    velocity, _ = bench.test.reckon(told)
+    effort = -MODEL.a22 * velocity / MODEL.b2
+    rest = bench.plant.a22 * bench.velocity + bench.plant.b2 * effort
+    assert abs(rest) < 0.35 * abs(bench.velocity)
 
 
-@pytest.mark.parametrize("rebound", [0.0, 0.3, 0.6])
+@pytest.mark.parametrize("rebound", [0.3, 0.6])
 def test_a_collision_is_not_a_mirrored_motion(rebound: float) -> None:
-    bench = Bench(1.0)
-    bench.run([20.0 * 14.0 / 180.0] * 300)
-    bench.verdicts.clear()
+    bench = Bench(1.0).cruise(20.0)
     bench.velocity *= -rebound
     bench.run([20.0 * 14.0 / 180.0] * 20)
-    assert set(bench.verdicts) == {None}
+    assert -1.0 not in bench.verdicts
+
+
+def test_an_axis_that_runs_against_a_wall_is_one_that_stands_still() -> None:
+    """An encoder that freezes looks the same."""
+    bench = Bench(1.0).cruise(20.0)
+    bench.plant = Plant(1e-9, 1e6).discretise(PERIOD_S)
+    bench.velocity = 0.0
+    bench.run([20.0 * 14.0 / 180.0] * 6)
+    assert {one for one in bench.verdicts if one is not None} == {0.0}
 
 
 def test_another_origin_and_a_missing_sample_surprise_nobody() -> None:
@@ -142,3 +168,17 @@ def test_another_origin_and_a_missing_sample_surprise_nobody() -> None:
     bench.run([0.0] * 50)
     assert bench.test.surprise < 1e-6
     assert set(bench.verdicts) == {None}
+
+
+def test_a_tick_of_transport_delay_more_is_no_other_gain() -> None:
+    bench = Bench(1.0)
+    observer, test = bench.observer, bench.test
+    verdicts, before = set(), 0.0
+    for effort in [*RAMP, *RAMP[::-1], *[-one for one in RAMP]]:
+        observer.update(bench.position, effort)
+        test.update(bench.position, effort, observer, 0.0)
+        bench.position += MODEL.a12 * bench.velocity + MODEL.b1 * before
+        bench.velocity = MODEL.a22 * bench.velocity + MODEL.b2 * before
+        before = effort
+        verdicts.add(test.better_factor)
+    assert verdicts == {None}

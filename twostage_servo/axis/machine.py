@@ -179,7 +179,8 @@ class Machine:
         doubted = rule.reckoned and not self.motion.blind
         if doubted:
             self.motion.distrust()
-        self.motion.blind = self.motion.blind or rule.blind
+        elif rule.blind and not self.motion.blind:
+            self.motion.go_blind()
         self.referenced = self.referenced and not rule.unreferenced
         if self.trip is None:
             self.trip = trip

@@ -84,19 +84,23 @@ class Motion:
         self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
         self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
         self._resolution = 1.5 * resolution
-        self._stands_at: float | None = None  # where the encoder stood still, in axis unit, when it was given up
+        self._shown: float | None = None  # by the encoder, in axis unit
+        self._stands = False  # whether it was the same a sample before
+        self._stands_at: float | None = None  # where the encoder stood still when it was given up
         noise: float = design.noise.measurement_variance**0.5
         self._least_motion = max(self._resolution, _NOISE_DEVIATIONS * noise)
         self._recent: deque[float] = deque(maxlen=design.ticks(design.settings.limits.jam_time_ms) + 1)
 
-    def start(self) -> None:
-        """Hold from here on; the observer has been tracking the axis until now."""
+    def start(self, effort: float = 0.0) -> None:
+        """Hold from here on; the observer has been tracking the axis, on which `effort` (effort unit) acts."""
         self.law.start()
+        self._effort = effort
         self.nominal.continue_from(self.law)
-        self.model_test.start(self.law.observer)
+        self.model_test.start(self.law.observer, effort)
         self._gap.close()
         self._skipped = 0
-        self._stands_at = None
+        self._shown = self._stands_at = None
+        self._stands = False
         self.law.effort_limit = self._limits.effort
         self._speed_of_late = 0.0
         self._was_outlier = False
@@ -156,6 +160,9 @@ class Motion:
     def step(self) -> float:
         """Run the law for a tick and return the effort in effort unit."""
         sample, before = self._believed_sample(), self._effort
+        if self._drive.fresh and not self.blind:
+            shown, self._shown = self._shown, self._drive.position
+            self._stands = shown is not None and abs(shown - (self._shown or 0.0)) <= self._resolution
         lag = self._lag_periods
         if sample is not None and lag:
             self._gap.reopen(lag, self.law.observer, before)
@@ -215,15 +222,18 @@ class Motion:
         """Whether enough samples have been seen in a row to say how fast the axis goes."""
         return self._tracking and self._samples_tracked > 1
 
+    def go_blind(self) -> None:
+        """Believe no feedback from here on: the model alone brings the axis to rest."""
+        self.blind = True
+        self._stands_at = self._shown if self._stands else None
+
     def distrust(self) -> None:
         """Give up the estimate as well as the feedback, and go on from what the model says of the speed."""
-        factor = self.model_test.better_factor or 0.0
-        reckoning = self.model_test.reckon(factor)
-        self.blind = True
+        reckoning = self.model_test.reckon(self.model_test.better_factor or 0.0)
+        self.go_blind()
         observer = self.law.observer
         observer.velocity, observer.disturbance = reckoning
         self.law.speed_reference = reckoning.velocity  # also where a stop by the former estimate has begun
-        self._stands_at = self._drive.position if factor == 0.0 else None
 
     @property
     def moves_after_all(self) -> bool:

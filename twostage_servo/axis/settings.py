@@ -64,6 +64,14 @@ class LimitSettings(Settings):
         gt=0.0,
         le=1e9,
     )
+    undetected_travel: float | None = quantity(
+        None,
+        unit="axis unit",
+        description="Distance that the axis may go until a turned or rescaled encoder is certain; without it: "
+        "position_overrun",
+        gt=0.0,
+        le=1e9,
+    )
     velocity: float = quantity(unit="axis unit/s", description="Largest cruise velocity accepted", gt=0.0, le=1e9)
     overspeed: float = quantity(
         unit="axis unit/s",

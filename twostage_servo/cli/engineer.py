@@ -95,7 +95,22 @@ def _summary(config: "Config", station: "Station") -> dict[str, Any]:
         "changeover_distance": axis.design.changeover_distance(config.axis.cruise_velocity),
         "unit": config.axis.unit,
         "cruise_velocity": config.axis.cruise_velocity,
+        "detection": _detection(axis.design),
         "notes": list(_notes(config, axis.design.period_s)),
+    }
+
+
+def _detection(design: "AxisDesign") -> dict[str, Any]:
+    """Return how far the axis goes until a turned or rescaled encoder is certain."""
+    from twostage_servo.axis.detection import allowed_travel, detections, slowest_certain_velocity
+
+    found = detections(design)
+    slowest = slowest_certain_velocity(design)
+    return {
+        "travel": max(one.travel for one in found),
+        "allowed": allowed_travel(design),
+        "certain_from_velocity": slowest if math.isfinite(slowest) else None,
+        "cases": [{name: getattr(one, name) for name in one.__slots__} for one in found],
     }
 
 
@@ -112,11 +127,15 @@ def _notes(config: "Config", period_s: float) -> "Iterator[str]":
 
 
 def _sentence(summary: dict[str, Any]) -> str:
-    bus, frames, unit = summary["bus"], summary["frames"], summary["unit"]
+    bus, frames, unit, detection = summary["bus"], summary["frames"], summary["unit"], summary["detection"]
+    speed = detection["certain_from_velocity"]
+    slowest = "not in a cruise" if speed is None else f"in a cruise from {speed:.3g} {unit}/s on"
     return (
         f"Axis {summary['axis']} on {bus['interface']} {bus['channel']}, command 0x{frames['command']:x}, feedback "
         f"0x{frames['feedback']:x}; change-over {summary['changeover_distance']:.4g} {unit} before the set-point at "
-        f"{summary['cruise_velocity']:g} {unit}/s." + "".join(f"\nNote: {note}." for note in summary["notes"])
+        f"{summary['cruise_velocity']:g} {unit}/s.\n"
+        f"An encoder that turns round or changes its scale is certain after {detection['travel']:.4g} {unit} at most "
+        f"({detection['allowed']:g} allowed); {slowest}." + "".join(f"\nNote: {note}." for note in summary["notes"])
     )
 
 

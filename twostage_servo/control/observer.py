@@ -1,5 +1,6 @@
 """The Kalman disturbance observer: equations (20)-(28)."""
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -50,6 +51,7 @@ def extended_model(
     return state, effort, output
 
 
+@functools.lru_cache(maxsize=512)
 def kalman_gain(plant: DiscretePlant, noise: NoiseModel) -> KalmanGain:
     """Solve the filter's Riccati equation (28), with the ``- X`` that the print lacks (erratum 7).
 

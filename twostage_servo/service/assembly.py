@@ -9,6 +9,7 @@ import can
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
+from twostage_servo.axis.detection import check_detection
 from twostage_servo.canbus.bus_load import CyclicFrame, bus_load
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.canbus.profile import DriveProfile, Feedback, Heartbeat, ProtocolError
@@ -106,9 +107,11 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames
         If no law can be designed from the settings.
     """
     _check_encoder(loaded, profile, tick_s)
+    designed = design(loaded, tick_s)
     try:
+        check_detection(designed)
         return Axis(
-            design(loaded, tick_s),
+            designed,
             profile.counter_modulus,
             profile.position_period,
             profile.position_quantum,

@@ -1,0 +1,253 @@
+"""An encoder that lies: told in every driven state whatever the gate, braked without it, not believed again."""
+
+import dataclasses
+import itertools
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import DesignError, design_axis
+from twostage_servo.axis.detection import (
+    CHANGES,
+    allowed_travel,
+    check_detection,
+    detections,
+    slowest_certain_velocity,
+)
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.settings import AxisSettings
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import RULES, TripCode
+from twostage_servo.config import load
+from twostage_servo.control.plant import Plant
+
+IN_DOUBT = {code for code in TripCode if RULES[code].unreferenced}
+
+
+def rig_of(innovation: float = 0.5, pole: float = 14.0) -> AxisRig:
+    settings = axis_settings(innovation=innovation)
+    settings = settings.model_copy(update={"plant": settings.plant.model_copy(update={"pole": pole})})
+    axis = Axis(design_axis(settings, PERIOD_S), 16, resolution=0.001)
+    return AxisRig(axis, Plant(180.0, pole))
+
+
+def change(rig: AxisRig, counts: float) -> None:
+    place = rig.position
+    rig.sees = lambda position: place + counts * (position - place)
+
+
+def bring_into(rig: AxisRig, phase: str, velocity: float) -> None:
+    if phase == "homing":
+        rig.axis.home()
+        rig.seconds(1.0)
+    elif phase == "jogging":
+        for _ in range(10):
+            rig.axis.jog(velocity)
+            rig.seconds(0.1)
+    else:
+        rig.axis.move_to(1000.0, velocity)
+        rig.seconds(1.2)
+        if phase != "cruising":
+            rig.axis.stop(quick=phase == "quick stopping")
+            rig.seconds(0.02)
+
+
+# The encoder turns round or changes its scale -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("innovation", [0.5, 2.0, 5.0, 10.0])
+@pytest.mark.parametrize("counts", [-1.0, 0.5, 2.0])
+@pytest.mark.parametrize("velocity", [20.0, 100.0, 250.0])
+def test_a_change_in_a_cruise_is_certain_after_five_ticks_however_wide_the_gate(
+    innovation: float, counts: float, velocity: float
+) -> None:
+    rig = rig_of(innovation).cruising(1000.0, velocity)
+    at = rig.position
+    change(rig, counts)
+    for _ in range(5):
+        rig.tick()
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code in {TripCode.SIGN_REVERSED, TripCode.MODEL_MISMATCH, TripCode.POSITION_JUMP}
+    assert abs(rig.position - at) < 5.2 * velocity * PERIOD_S
+    rig.seconds(1.0)
+    assert rig.state() is State.TRIPPED
+    # What is left is a quick stop from the speed at the end, by the model alone.
+    assert abs(rig.position - at) < 5.2 * velocity * PERIOD_S + 1.3 * rig.axis.design.certain_stopping_distance(
+        velocity, rig.axis.settings.limits.quick_stop_deceleration
+    )
+    assert not rig.axis.referenced
+
+
+@pytest.mark.parametrize("innovation", [0.5, 5.0])
+@pytest.mark.parametrize("phase", ["stopping", "quick stopping"])
+@pytest.mark.parametrize("velocity", [100.0, 250.0])
+def test_an_encoder_that_turns_round_in_a_stop_runs_nowhere(innovation: float, phase: str, velocity: float) -> None:
+    """20 ms after the stop began; without a test in that state it went 767 mm."""
+    rig = rig_of(innovation).armed()
+    bring_into(rig, phase, velocity)
+    at = rig.position
+    change(rig, -1.0)
+    rig.seconds(3.0)
+    assert rig.state() is State.TRIPPED
+    assert {rig.axis.trip and rig.axis.trip.code} <= IN_DOUBT
+    assert abs(rig.position - at) < rig.axis.settings.limits.position_overrun
+
+
+@pytest.mark.parametrize("counts", [-1.0, 0.5, 2.0])
+def test_a_jog_is_watched_as_a_move_is(counts: float) -> None:
+    rig = rig_of(5.0).armed()
+    bring_into(rig, "jogging", 50.0)
+    at = rig.position
+    change(rig, counts)
+    for _ in range(6):
+        rig.tick()
+    assert rig.state() is State.TRIPPED_QUICK_STOP
+    rig.seconds(1.0)
+    assert abs(rig.position - at) < 5.0
+
+
+@pytest.mark.parametrize(
+    ("method", "counts"), [("index", -1.0), ("index", 2.0), ("hard_stop", -1.0), ("hard_stop", 2.0)]
+)
+def test_a_search_is_watched_as_well(method: str, counts: float) -> None:
+    settings = axis_settings(homing={"method": method, "direction": "positive", "slow_velocity": 40.0}, innovation=5.0)
+    rig = AxisRig(Axis(design_axis(settings, PERIOD_S), 16, resolution=0.001)).armed()
+    bring_into(rig, "homing", 40.0)
+    assert rig.state() is State.HOMING
+    at = rig.position
+    change(rig, counts)
+    rig.seconds(1.0)
+    assert rig.state() is State.TRIPPED
+    assert abs(rig.position - at) < 5.0
+
+
+@pytest.mark.parametrize("pole", [0.5, 2.0])
+@pytest.mark.parametrize("counts", [-1.0, 2.0])
+def test_an_axis_with_little_friction_is_braked_and_does_not_coast(pole: float, counts: float) -> None:
+    """Without effort it would go on for 100 mm/s divided by its pole: 200 and 50 mm."""
+    rig = rig_of(pole=pole).cruising(2000.0, 100.0, for_s=3.0)
+    at = rig.position
+    change(rig, counts)
+    rig.seconds(6.0)
+    assert rig.state() is State.TRIPPED
+    assert abs(rig.position - at) < 20.0
+
+
+# The reaction ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_jam_that_gives_way_is_not_pushed_back() -> None:
+    """Braked like a frozen encoder's axis, until the encoder shows that it lives."""
+    rig = AxisRig().cruising(1000.0, 100.0)
+    free, rig.plant = rig.plant, Plant(1e-9, 1e6)  # it runs against something
+    rig.velocity = 0.0
+    at = rig.position
+    while rig.state() is not State.TRIPPED_QUICK_STOP:
+        rig.tick()
+    rig.plant = free
+    rig.seconds(1.0)
+    assert rig.state() is State.TRIPPED
+    # It comes back for the two ticks until its first sample is seen, and coasts; 5.1 mm if nobody looked.
+    assert abs(rig.position - at) < 3.5
+
+
+def test_a_trip_that_doubts_the_encoder_takes_over_a_stop_that_believed_it() -> None:
+    rig = rig_of(5.0).cruising(1000.0, 100.0)
+    rig.axis.raise_trip(TripCode.FOLLOWING_ERROR, "as a test")
+    rig.axis.law.observer.velocity = -100.0  # what a mirrored encoder shows
+    rig.axis.raise_trip(TripCode.SIGN_REVERSED, "as a test")
+    assert rig.axis.law.observer.velocity == pytest.approx(rig.velocity, rel=0.01)
+    at = rig.position
+    rig.seconds(1.0)
+    assert rig.state() is State.TRIPPED
+    assert abs(rig.position - at) < 3.0
+
+
+# The reference --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("code", list(TripCode))
+def test_a_trip_that_says_that_the_encoder_lies_loses_the_reference(code: TripCode) -> None:
+    """What sends the operator to the encoder's sign or scale, or may be a frozen one, says why, and asks for `home`."""
+    rule = RULES[code]
+    doubts = any(word in rule.next_action for word in ("encoder's", "the encoder or", "Check encoder", "encoder that"))
+    assert rule.unreferenced is (doubts or code is TripCode.DRIVE_REBOOTED)
+    assert ("`home`" in rule.next_action) is (rule.unreferenced or code is TripCode.HOMING_FAILED)
+    rig = AxisRig().cruising(for_s=0.5)
+    rig.axis.raise_trip(code, "as a test")
+    assert rig.axis.referenced is not rule.unreferenced
+
+
+@pytest.mark.parametrize("code", sorted(IN_DOUBT))
+def test_no_set_point_is_taken_after_it_until_the_axis_has_been_homed(code: TripCode) -> None:
+    rig = AxisRig().cruising(for_s=0.5)
+    rig.axis.raise_trip(code, "as a test")
+    rig.seconds(1.0)
+    rig.axis.reset()
+    rig.seconds(0.1)
+    rig.axis.arm()
+    rig.seconds(0.2)
+    with pytest.raises(Refused, match="does not know its position"):
+        rig.axis.move_to(100.0, 50.0)
+    rig.axis.set_position(0.0)
+    assert rig.axis.move_to(100.0, 50.0).target == 100.0
+
+
+# What `check` says of it ----------------------------------------------------------------------------------------------
+
+
+def test_what_is_computed_is_what_an_axis_does() -> None:
+    """Against the rig's own plant and axis: the same travel until the trip, to within the tick in which it shows."""
+    design = design_axis(axis_settings(innovation=5.0), PERIOD_S)
+    for one in detections(design):
+        if one.phase == "cruising":
+            rig = AxisRig(Axis(design, 16)).armed()
+            rig.axis.move_to(1000.0, one.velocity)
+            rig.seconds(2.0)
+            at = rig.position
+            change(rig, CHANGES[one.change])
+            while rig.axis.trip is None:
+                rig.tick()
+            assert one.certain
+            assert one.travel == pytest.approx(abs(rig.position - at), abs=1.2 * one.velocity * PERIOD_S)
+
+
+@pytest.mark.parametrize("name", ["demo", "example1", "example2", "socketcan", "two_processes", "second_axis"])
+def test_the_shipped_axes_are_certain_soon_enough(name: str) -> None:
+    config = load(Path(f"config/{name}.toml")).config
+    design = design_axis(config.axis, config.service.tick_ms / 1e3)
+    check_detection(design)
+    assert max(one.travel for one in detections(design)) <= config.axis.limits.position_overrun
+    assert slowest_certain_velocity(design) <= 20.0
+
+
+def test_the_noise_hides_it_and_the_gate_does_not() -> None:
+    travels = {}
+    for innovation, variance in itertools.product((0.5, 10.0), (1e-4, 1e-2, 1.0)):
+        settings = axis_settings(innovation=innovation)
+        observer = settings.observer.model_copy(update={"measurement_variance": variance})
+        settings = settings.model_copy(update={"observer": observer})
+        travels[innovation, variance] = slowest_certain_velocity(design_axis(settings, PERIOD_S))
+    assert travels[0.5, 1e-4] == travels[10.0, 1e-4] < travels[10.0, 1e-2] < travels[10.0, 1.0]
+
+
+def noisy(**limits: Any) -> AxisSettings:
+    settings = axis_settings(innovation=50.0, following_error_minimum=500.0, **limits)
+    return settings.model_copy(update={"observer": settings.observer.model_copy(update={"measurement_variance": 25.0})})
+
+
+def test_an_axis_whose_encoder_could_lie_for_long_is_refused_unless_it_says_for_how_long() -> None:
+    design = design_axis(noisy(), PERIOD_S)
+    with pytest.raises(
+        DesignError, match=r"is allowed\. What hides it is the noise .* 5 mm .*undetected_travel"
+    ) as caught:
+        check_detection(design)
+    assert caught.value.key == ("axis", "limits", "position_overrun")
+    worst = max(one.travel for one in detections(design))
+    if worst < float("inf"):
+        stated = dataclasses.replace(design, settings=noisy(undetected_travel=worst + 1.0))
+        check_detection(stated)
+        assert allowed_travel(stated) == worst + 1.0
