@@ -93,13 +93,15 @@ def test_an_effort_that_does_not_change_decides_nothing() -> None:
 
 
 @pytest.mark.parametrize("velocity", [20.0, 100.0, -100.0])
-@pytest.mark.parametrize("counts", [-1.0, 0.0, 0.5, 2.0])
-def test_a_change_of_the_encoder_in_a_cruise_is_told_by_its_third_sample(velocity: float, counts: float) -> None:
+@pytest.mark.parametrize(("counts", "samples"), [(-1.0, 3), (0.5, 3), (2.0, 3), (0.0, 5)])
+def test_a_change_of_the_encoder_in_a_cruise_is_told_by_its_third_sample_and_a_standstill_by_its_fifth(
+    velocity: float, counts: float, samples: int
+) -> None:
     bench = Bench(1.0).cruise(velocity)
     bench.change(counts)
     effort = velocity * PLANT.pole / PLANT.gain
-    bench.run([effort] * 4)  # the first sample is that of the place where it changes
-    assert bench.verdicts == [None, None, None, counts]
+    bench.run([effort] * (samples + 1))  # the first sample is that of the place where it changes
+    assert bench.verdicts == [None] * samples + [counts]
 
 
 @pytest.mark.parametrize("velocity", [5.0, 10.0, 20.0, 100.0])
@@ -119,7 +121,7 @@ def test_what_is_reckoned_after_a_change_is_the_true_speed(counts: float, load: 
     bench = Bench(1.0)
     bench.run([100.0 * PLANT.pole / PLANT.gain + load] * 400, load=load)
     bench.change(counts)
-    bench.run([12.0, 4.0, 9.0, -3.0], load=load)
+    bench.run([12.0, 4.0, 9.0, -3.0, 2.0, 8.0], load=load)
     factor = bench.test.better_factor
     assert factor == counts
     reckoning = bench.test.reckon(factor)
@@ -151,7 +153,7 @@ def test_an_axis_that_runs_against_a_wall_is_one_that_stands_still() -> None:
     bench = Bench(1.0).cruise(20.0)
     bench.plant = Plant(1e-9, 1e6).discretise(PERIOD_S)
     bench.velocity = 0.0
-    bench.run([20.0 * 14.0 / 180.0] * 6)
+    bench.run([20.0 * 14.0 / 180.0] * 8)
     assert {one for one in bench.verdicts if one is not None} == {0.0}
 
 

@@ -119,12 +119,12 @@ def changed(test: ModelTest, factor: float) -> object:
 @pytest.mark.parametrize(
     ("ticks", "accepted", "own", "background", "certain"),
     [
-        (3, 1.0, 0.019, 1.0, True),
+        (3, 1.0, 0.019, 1.1, True),
         (2, 1.0, 0.019, 1.0, False),  # two samples are a spike and what follows it
         (3, 1.0, 0.021, 1.0, False),  # not fifty times better
         (3, 0.015, 0.0, 0.015, False),  # less than the noise
         (3, 0.016, 0.0, 0.016, True),
-        (3, 1.0, 0.0, 2.1, False),  # the model had been surprised before
+        (3, 1.0, 0.0, 1.12, False),  # the model had been surprised before
     ],
 )
 def test_what_makes_a_change_certain(ticks: int, accepted: float, own: float, background: float, certain: bool) -> None:

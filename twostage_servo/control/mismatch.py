@@ -54,7 +54,10 @@ CHANGE_EVIDENCE: Final = 50.0
 CHANGE_TICKS: Final = 3
 """Samples that a change has to explain: a spike is one, and comes back with the next."""
 
-CHANGE_SHARE: Final = 0.5
+STANDING_TICKS: Final = 5
+"""The same for an encoder that stands still: a load that turns round lets the axis pass standstill within three."""
+
+CHANGE_SHARE: Final = 0.9
 """Share of all surprise in the window that has to have come since the change: it is told only against an estimate that
 was right before. A load that has just stepped makes an estimate that is not."""
 
@@ -65,8 +68,9 @@ DATE_SHARE: Final = 0.25
 """What is added to it for each axis unit/s of speed, as a share of the time by which dates of samples may be off."""
 
 JUMP_SHARE: Final = 0.5
-"""Share of that surprise which a change has to make in its first sample. What moves more slowly than that is held back
-by static friction just as well, and only the effort can tell: axis.limits.jam_effort."""
+"""Share of that surprise which a change has to make in its first sample. For an encoder that stands still twice as
+much: what moves slowly comes to rest by friction or a load just as well, and only the effort can tell
+(axis.limits.jam_effort)."""
 
 
 PROCESS_SHARE: Final = 0.1
@@ -92,7 +96,18 @@ class Reckoning(NamedTuple):
 class _Change:
     """The hypothesis that the encoder counts `factor` times as much since a tick of its own choosing."""
 
-    __slots__ = ("_offset", "_step", "_truth", "accepted_sum", "factor", "observer", "own_sum", "ticks")
+    __slots__ = (
+        "_jump_share",
+        "_least_ticks",
+        "_offset",
+        "_step",
+        "_truth",
+        "accepted_sum",
+        "factor",
+        "observer",
+        "own_sum",
+        "ticks",
+    )
 
     def __init__(self, factor: float, plant: Plant, period_s: float, noise: NoiseModel) -> None:
         self.factor = factor
@@ -104,6 +119,8 @@ class _Change:
             self.observer = DisturbanceObserver(DiscretePlant(period_s, 0.0, 0.0, 0.0, 0.0), (gain, 0.0, 0.0))
         self._truth = DisturbanceObserver(model, NO_CORRECTION)
         self._step = (1.0 - factor) * model.a12
+        self._jump_share = JUMP_SHARE if factor else 2.0 * JUMP_SHARE
+        self._least_ticks = CHANGE_TICKS if factor else STANDING_TICKS
         self.begin(self._truth)
 
     def begin(self, model: DisturbanceObserver) -> None:
@@ -138,8 +155,8 @@ class _Change:
     def is_certain(self, least: float, window_sum: float) -> bool:
         """Whether nothing else explains the samples; `least` is the surprise (axis unit) that it takes."""
         return (
-            self.ticks >= CHANGE_TICKS
-            and abs(self._offset) > JUMP_SHARE * least
+            self.ticks >= self._least_ticks
+            and abs(self._offset) > self._jump_share * least
             and self.accepted_sum - self.own_sum > least * least
             and self.accepted_sum > CHANGE_EVIDENCE * self.own_sum
             and self.accepted_sum > CHANGE_SHARE * window_sum
