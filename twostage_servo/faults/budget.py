@@ -191,6 +191,10 @@ class Budget:
         noticed_s = self.noticing_s(IMPLAUSIBLE_SAMPLES)
         return allowed + self.quick_stop(noticed_s, self.reference.peak_speed(noticed_s))
 
+    def hidden_scale(self) -> float:
+        """Return what an encoder costs that counts half, and so looks like the model itself: twice the way."""
+        return self.reference.remaining() + self.followed()
+
     def unreachable_speed(self, share: float) -> float:
         """Return what a plant costs that reaches only a share of the velocity limit at the effort limit.
 

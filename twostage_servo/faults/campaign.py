@@ -223,8 +223,8 @@ class Campaign:
         else:
             travel, incomparable = _deviation(outcome, reference, self.design.period_s)
             wrong = "; ".join(filter(None, (incomparable, wrong)))
-        bound = fault.budget(phase, expected)(budget)
-        limit = fault.limit(phase) if outcome.observed == TOLERATED != expected else ""
+        limit = fault.limit(self.loaded.config) if outcome.observed == TOLERATED != expected else ""
+        bound = (fault.limit_bound if limit and fault.limit_bound else fault.budget(phase, expected))(budget)
         return Cell(
             fault.number,
             fault.name,

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 
+from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
 from twostage_servo.config import Config
@@ -132,8 +133,9 @@ class Fault:
         A more severe reaction that may take the place of the expected one: where it travels less, or where the fault
         keeps the expected one from working.
     limit
-        What one encoder cannot tell in a phase, so that the fault is tolerated there within its bound; empty where it
-        can.
+        What one encoder cannot tell on an axis, so that the fault may be tolerated there; empty where it can.
+    limit_bound
+        The travel that it may cost then, in axis unit.
     shared
         Whether it is a fault of what all axes of a machine share, so that another axis may trip by it as well.
     note
@@ -158,7 +160,8 @@ class Fault:
     velocity_limit: bool = False
     shows_s: Callable[[Config], float] = lambda _: 0.0
     instead: str = ""
-    limit: Callable[[Phase], str] = lambda _: ""
+    limit: Callable[[Config], str] = lambda _: ""
+    limit_bound: Bound | None = None
     shared: bool = False
     note: str = ""
 
@@ -289,6 +292,22 @@ def _tells_faults(_: DriveProfile, protocol: ProtocolSettings) -> bool:
     return protocol.feedback.fault is not False or protocol.feedback.fault_code is not False
 
 
+def _looks_like_the_model(factor: float) -> Callable[[Config], str]:
+    """Say where a plant that is off its model looks as if it were not, once the encoder counts so many times as much."""
+
+    def limit(config: Config) -> str:
+        model, true = config.axis.plant, config.simulation
+        share = factor * (true.gain / true.pole) / (model.gain / model.pole)
+        if abs(share - 1.0) > MODEL_ERROR:
+            return ""
+        return (
+            f"in a cruise the true plant goes {share / factor:.0%} of what its model says, so the encoder shows "
+            f"{share:.0%} of it, which is nearer to the model than before: one encoder cannot tell"
+        )
+
+    return limit
+
+
 _LEAST_GAIN = 0.5
 """Share of its gain below which a plant is another one, which the model test tells."""
 
@@ -354,7 +373,8 @@ TABLE: tuple[Fault, ...] = (
     Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True,
           phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
     Fault(22, "scale halved", _D.scaled(0.5), QUICK, lambda budget: budget.halved_scale(), idle=QUICK, again=True,
-          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
+          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_looks_like_the_model(0.5),
+          limit_bound=lambda budget: budget.hidden_scale()),
     Fault(23, "position invalid", _D.not_a_number, QUICK, _stale, needs=lambda profile, _: profile.can_say_invalid,
           reason="the drive's position signal has no value that says it is invalid"),
     Fault(24, "slow drift", _D.drift, TOLERATED, _followed,
