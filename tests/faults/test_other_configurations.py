@@ -139,6 +139,21 @@ def test_what_a_drive_cannot_have_is_not_applicable_and_says_why() -> None:
     assert all(reason for reason in reasons.values())
 
 
+@pytest.mark.parametrize(("name", "states"), [("demo", False), ("metres", False), ("example2", True)])
+def test_a_halved_scale_is_a_stated_limit_only_where_it_hides_what_the_model_is_off_by(name: str, states: bool) -> None:
+    halved = next(fault for fault in TABLE if fault.name == "scale halved")
+    assert bool(halved.limit(load(configuration(name)).config)) is states
+    assert len(halved.phases) <= 10
+
+
+def test_the_travel_of_a_stated_limit_is_bounded_by_twice_the_way() -> None:
+    halved = next(fault for fault in TABLE if fault.name == "scale halved")
+    cell = Campaign(load(configuration("example2")), seed=1).run(halved, Phase.STOPPING)
+    assert (cell.met, cell.expected, cell.observed) == (True, "Q", "T")
+    assert "one encoder cannot tell" in cell.limit
+    assert 100.0 < cell.travel < cell.bound < 300.0
+
+
 # Stopping ------------------------------------------------------------------------------------------------------------
 
 
