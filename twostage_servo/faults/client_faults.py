@@ -7,6 +7,7 @@ import socket
 from random import Random
 from typing import Any, Final
 
+from twostage_servo.axis.state import State
 from twostage_servo.faults.host_faults import stall
 from twostage_servo.faults.world import OPERATOR, World
 from twostage_servo.service.request_reading import LONGEST_LINE
@@ -40,11 +41,23 @@ async def _leave_too_soon(world: World) -> None:
 
 
 def freeze(world: World, random: Random) -> None:
-    """Hold the host up, and let a client ask for motion meanwhile, one who waits for the answer."""
+    """Hold the host up, and let a client ask for motion meanwhile, one who waits for the answer.
+
+    While the axis is disarmed only the requests are held up: so long a silence of the drive may cost a short counter
+    its reference, which has nothing to do with requests.
+    """
     _count_what_is_carried_out(world)
     world.service.desk.lease.release(OPERATOR)
-    stall(FREEZE_S)(world, random)
+    if world.axis.state is State.DISARMED:
+        world.spawn(_hold_requests_up(world))
+    else:
+        stall(FREEZE_S)(world, random)
     world.spawn(_ask_and_wait(world))
+
+
+async def _hold_requests_up(world: World) -> None:
+    async with world.service.turns.turn(Rank.REQUEST):
+        await asyncio.sleep(FREEZE_S)
 
 
 async def _ask_and_wait(world: World) -> None:
