@@ -100,6 +100,7 @@ def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -
     status = {
         "axis": axis, "move": None, "inputs": {text: True}, "frames": frames, "lease": {"holder": text},
         "trip": {"code": text, "cause": text, "next_action": text, "file": text},
+        "drive": {"moved": 1.0, "lasting": [{"code": text, "cause": text, "next_action": text}]},
         "bus": {"open": False, "error": text, "controller": text}, "version": text, "pid": 1, "uptime_s": 0.0,
         "ticks": {"count": 1, "missed": 0, "lateness_us": lateness, "duration_us": {"whole": lateness}},
     }  # fmt: skip

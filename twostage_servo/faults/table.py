@@ -293,7 +293,7 @@ def _tells_faults(_: DriveProfile, protocol: ProtocolSettings) -> bool:
 
 
 def _looks_like_the_model(factor: float) -> Callable[[Config], str]:
-    """Say where a plant that is off its model looks as if it were not, once the encoder counts so many times as much."""
+    """Say where a plant off its model looks as if it were not, once the encoder counts so many times as much."""
 
     def limit(config: Config) -> str:
         model, true = config.axis.plant, config.simulation
