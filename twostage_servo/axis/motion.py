@@ -3,6 +3,7 @@
 import math
 from collections import deque
 
+from twostage_servo.axis.braking_estimate import BrakingEstimate
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.sample_gap import SampleGap
@@ -66,6 +67,7 @@ class Motion:
         self.model_test = design.build_model_test()
         self.unchanged_effort = 0.0
         self._gap = SampleGap(design)
+        self._braking = BrakingEstimate(design)
         limits = design.settings.limits
         self._longest_prediction = max(limits.missed_ticks, design.ticks(_LONGEST_PREDICTION_MS))
         self._drive = drive
@@ -98,6 +100,7 @@ class Motion:
         self.nominal.continue_from(self.law)
         self.model_test.start(self.law.observer, effort)
         self._gap.close()
+        self._braking.start()
         self._skipped = 0
         self._shown = self._stands_at = None
         self._stands = False
@@ -117,6 +120,8 @@ class Motion:
 
     def stop(self, deceleration: float) -> None:
         """Come to rest with a deceleration in axis unit/s²; what the axis should do now is judged from here on."""
+        if not self.blind:
+            self._braking.apply(self.law.observer, in_doubt=False)
         self.law.stop(deceleration)
         if self._stands_at is not None:  # what holds the axis, if it is not the encoder, must bear no more than it does
             self.law.effort_limit = max(abs(self.law.effort), self._limits.jam_effort)
@@ -185,6 +190,7 @@ class Motion:
             self.model_test.update(sample, before, self.law.observer, self._speed_of_late)
         if sample is not None:
             self._compare_with_the_last()
+        self._braking.note(self.law.observer, self._effort, corrected=sample is not None and not lag)
         return self._effort
 
     def track(self) -> None:
@@ -224,6 +230,7 @@ class Motion:
 
     def go_blind(self) -> None:
         """Believe no feedback from here on: the model alone brings the axis to rest."""
+        self._braking.apply(self.law.observer, in_doubt=self.implausible > 0)
         self.blind = True
         self._stands_at = self._shown if self._stands else None
 
