@@ -346,7 +346,7 @@ TABLE: tuple[Fault, ...] = (
           check=came_back_disarmed, idle=TOLERATED, phases=EVERYWHERE, shared=True),
     Fault(12, "a node babbles", bus_faults.babble, TOLERATED, _unnoticed),
     Fault(12, "backlog: more frames than a tick reads", bus_faults.back_up, QUICK, _stale, phases=EVERYWHERE,
-          shared=True),
+          shared=True, instead=DISABLED, note="the heartbeat waits as well"),
     Fault(13, "another node commands the drive", bus_faults.foreign_command, DISABLED, _at_once, idle=REFUSED,
           phases=EVERYWHERE),
     Fault(14, "wrong length, kind and identifier", bus_faults.malformed, TOLERATED, _bridged, check=rejected_some),
