@@ -5,7 +5,7 @@ import resource
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.messages import Command
-from twostage_servo.axis.state import DRIVEN, State
+from twostage_servo.axis.state import DRIVEN, LATCHED, State
 
 
 class BrokenInvariantError(AssertionError):
@@ -25,13 +25,12 @@ class Invariants:
     ticks
         Ticks looked at.
     farthest
-        Largest distance beyond a position limit so far, in axis unit.
+        Largest distance beyond a position limit so far, as a share of what is allowed.
     """
 
     __slots__ = (
-        "_axis", "_effort_limit", "_farthest_allowed", "_high", "_largest_step", "_last_effort", "_low", "_tripped",
-        "farthest",
-        "ticks",
+        "_axis", "_effort_limit", "_farthest_allowed", "_fastest", "_high", "_largest_step", "_last_effort", "_low",
+        "_position", "_tripped", "_unseen_s", "farthest", "ticks",
     )  # fmt: skip
 
     def __init__(self, axis: Axis) -> None:
@@ -43,11 +42,23 @@ class Invariants:
         self._farthest_allowed = allowed_overrun(axis)
         self._last_effort = 0.0
         self._tripped = False
+        self._fastest = 0.0
+        self._position: float | None = None
+        self._unseen_s = limits.stale_feedback_ms / 1e3 + (limits.missed_ticks + 3) * axis.design.period_s
         self.ticks = 0
         self.farthest = 0.0
 
-    def look(self, command: Command, position: float) -> None:
+    def look(self, command: Command, position: float, *, place_known: bool = True) -> None:
         """Look at what goes to the drive, and at the true position in axis unit.
+
+        Parameters
+        ----------
+        command
+            What goes to the drive.
+        position
+            The true position in axis unit.
+        place_known
+            Whether the axis can know its place; else its position limits say nothing.
 
         Raises
         ------
@@ -68,13 +79,38 @@ class Invariants:
         if self._tripped and self._axis.trip is not None and state in DRIVEN:
             raise BrokenInvariantError(f"the axis is {state} after its trip had ended in disabling")
         self._tripped = state is State.TRIPPED
+        if not place_known:
+            return
+        self._look_at_belief(state, position)
         beyond = max(position - self._high, self._low - position)
-        if beyond > self.farthest:
-            self.farthest = beyond
-            if beyond > self._farthest_allowed:
-                raise BrokenInvariantError(
-                    f"the axis is {beyond:.3f} beyond its limits, {self._farthest_allowed:.3f} is the most"
-                )
+        self.farthest = max(self.farthest, beyond / self._farthest_allowed)
+        if beyond > self._farthest_allowed:
+            raise BrokenInvariantError(
+                f"the axis is {beyond:.4g} beyond its limits, {self._farthest_allowed:.4g} is the most"
+            )
+
+    def _look_at_belief(self, state: State, position: float) -> None:
+        """Compare where an axis that moves as it was asked to takes itself to be with where it is.
+
+        What it may be off: two innovation gates, for one that was passed and one that was bridged, and what it goes
+        while feedback may be missing.
+        """
+        axis = self._axis
+        if not axis.referenced or state not in DRIVEN or state in LATCHED:
+            self._fastest, self._position = 0.0, None
+            return
+        observer, limits = axis.law.observer, axis.settings.limits
+        speed = 0.0 if self._position is None else abs(position - self._position) / axis.design.period_s
+        self._position = position
+        self._fastest = max(0.999 * self._fastest, speed)
+        gate = limits.innovation + 1e-3 * limits.innovation_time_ms * self._fastest
+        allowed = 2.0 * gate + self._fastest * self._unseen_s + axis.settings.window.position
+        error = abs(observer.position - position)
+        if error > allowed:
+            raise BrokenInvariantError(
+                f"the axis is {state} and takes itself to be at {observer.position:.6g}, and is at {position:.6g}: "
+                f"{error:.4g} off, {allowed:.4g} is the most"
+            )
 
 
 def allowed_overrun(axis: Axis) -> float:

@@ -1,124 +1,156 @@
-"""The whole service over CAN frames, in simulated time: random clients, faults of bus, drive and host by seed."""
+"""The whole service over CAN frames, in simulated time: random clients, faults of bus, drive and host by seed.
+
+A soak is a row of lives: each is a service with a drive of its own, from its start to a signal, to an axis that only a
+hand could bring back, or to the end of its time.
+"""
 
 import asyncio
-import errno
+import gc
 import math
-from random import Random
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-import can
+from bad_clients import BadClients
+from configurations import drawn_by
+from encoder_watch import EncoderWatch
 from invariants import BrokenInvariantError, Invariants
 from pydantic import ValidationError
+from service_mishaps import ServiceMishaps
 
 from twostage_servo.axis.messages import Refused
-from twostage_servo.axis.state import State
-from twostage_servo.config import load
-from twostage_servo.faults import bus_faults, host_faults
-from twostage_servo.faults.world import SERVICE, World, operate
+from twostage_servo.axis.state import DRIVEN, ENABLED, State
+from twostage_servo.faults.world import World, operate
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.ending_signals import EndingSignals
 from twostage_servo.service.requests import REQUESTS
 from twostage_servo.simulation.virtual_clock import run
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from twostage_servo.axis.axis import Axis
 
 _CLIENTS = ("alice", "bob", "eve")
-_READING = frozenset({"status", "recording"})
+_LIFE_TICKS = 15_000
+_MOST_ENCODER_EVENTS = 30
+"""Events after which the operator mends an encoder that nobody has noticed, as one is that fails at standstill."""
 
 
 class ServiceSoak:
-    """One service with its drive in random operation.
+    """One service after another, each with its drive in random operation.
 
     Parameters
     ----------
     seed
         Of everything.
+    without
+        Kinds of faults that are left out; see :data:`run.FAULTS`.
     """
 
-    def __init__(self, seed: int) -> None:
-        self.random = Random(seed)  # noqa: S311 - a soak, no secret
+    def __init__(self, seed: int, without: frozenset[str] = frozenset()) -> None:
+        self.configuration, self.random = drawn_by(seed)
+        self.configuration.check()
         self.seed = seed
-        self.requests = self.refusals = self.trips = self.moves_reached = 0
+        self.without = without
+        self.requests = self.refusals = self.trips = self.moves_reached = self.encoder_faults = 0
         self.ticks = 0
+        self.closest = self.farthest = 0.0
+        self._ticks_before = 0
+        self._encoder_events = 0
+        self._was_homing = False
         self._reported_trip: object = None
         self._pace_s = 1.0
 
-    def run(self, simulated_s: float) -> None:
-        """Run for a simulated time in s."""
-        run(self._run(simulated_s))
+    def run(self, ticks: int) -> None:
+        """Run for so many ticks."""
+        run(self._run(ticks))
 
-    async def _run(self, simulated_s: float) -> None:
-        overrides = [f"simulation.seed={self.seed}", "simulation.noise_std=0.005", "simulation.cycle_ms=5"]
-        async with operate(load(None, overrides)) as world:
-            world.keeps_samples = False
-            self.invariants = Invariants(world.axis)
-            world.service.publishers.append(lambda _: self._look(world))
-            while world.now_s < simulated_s:
-                await asyncio.sleep(self.random.expovariate(1.0 / self._pace_s))
-                if world.serving is not None and world.serving.done():
-                    raise BrokenInvariantError(f"the service ended: {world.serving.exception()!r}")
-                self._something_happens(world)
-            self.ticks = world.service.statistics.count
+    async def _run(self, ticks: int) -> None:
+        before = None
+        while self.ticks < ticks:
+            await self._live(min(self.ticks + _LIFE_TICKS, ticks))
+            self._ticks_before = self.ticks
+            gc.collect()
+            left = len(asyncio.all_tasks()), open_descriptors()
+            if before is not None and (left[0] > before[0] or left[1] > before[1]):
+                raise BrokenInvariantError(
+                    f"{left[0]} tasks and {left[1]} descriptors are left after a service's end; {before[0]} and "
+                    f"{before[1]} were after the one before"
+                )
+            before = left
 
-    def _look(self, world: World) -> None:
-        self.invariants.look(world.station.command, world.drive.position)
-        if world.drive.faults.load and not world.drive.enabled:
-            world.change(load=0.0)  # an axis that can fall has a brake
+    async def _live(self, until: int) -> None:
+        random = self.random
+        noise = random.choice((0.0, 5.0)) * self.configuration.load().config.simulation.quantum
+        overrides = [f"simulation.seed={self.seed}", f"simulation.noise_std={noise!r}"]
+        with tempfile.TemporaryDirectory(prefix="soak-") as folder:
+            async with operate(self.configuration.load(*overrides)) as world:
+                world.keeps_samples = False
+                control = ControlSocket(Path(folder) / "control.sock", world.service)
+                await control.start()
+                world.service.publishers.append(lambda tick: control.publish(tick.index))
+                clients = BadClients(control.path, random)
+                try:
+                    with EndingSignals() as signals:
+                        signals.call(world.service.shut_down, asyncio.get_running_loop())
+                        await self._operate(world, clients, until)
+                finally:
+                    await clients.end()
+                    await control.stop()
+
+    async def _operate(self, world: World, clients: BadClients, until: int) -> None:
+        self.watch, self.invariants = EncoderWatch(world.axis), Invariants(world.axis)
+        mishaps = ServiceMishaps(world, clients, self.watch, self.random, self.without)
+        world.service.publishers.append(lambda _: self._look(world, mishaps))
+        while self.ticks < until and not mishaps.has_ended:
+            await asyncio.sleep(self.random.expovariate(1.0 / self._pace_s) * 100.0 * world.period_s)
+            if world.serving is not None and world.serving.done() and not mishaps.has_ended:
+                raise BrokenInvariantError(f"the service ended: {world.serving.exception()!r}")
+            await self._something_happens(world, mishaps)
+            if mishaps.broken is not None:
+                raise BrokenInvariantError(mishaps.broken)
+            limits = world.axis.settings.limits
+            inside = limits.position_minimum <= world.drive.position <= limits.position_maximum
+            if not inside and world.axis.state not in ENABLED:
+                break  # only a hand could bring it back
+        self.encoder_faults += mishaps.encoder_faults
+
+    def _look(self, world: World, mishaps: ServiceMishaps) -> None:
+        command, position = world.station.command, world.drive.position
+        self.invariants.look(command, position, place_known=not (self.watch.in_doubt or mishaps.drive_disobeys))
+        self.ticks = self._ticks_before + self.invariants.ticks
+        self.farthest = max(self.farthest, self.invariants.farthest)
+        wrong = self.watch.look(position, world.drive.velocity, command.effort)
+        self.closest = max(self.closest, self.watch.closest)
+        if wrong is not None:
+            raise BrokenInvariantError(wrong)
+        mishaps.look()
+        is_homing = world.axis.state is State.HOMING
+        if self._was_homing and not is_homing and world.axis.move is not None and world.axis.move.outcome == "reached":
+            self.watch.placed()
+        self._was_homing = is_homing
         if world.axis.trip is not self._reported_trip:
             self._reported_trip = world.axis.trip
             self.trips += world.axis.trip is not None
 
-    def _something_happens(self, world: World) -> None:
+    async def _something_happens(self, world: World, mishaps: ServiceMishaps) -> None:
         random = self.random
-        choice = random.random()
-        if choice < 0.03:
-            self._pace_s = random.choice((0.1, 1.0, 3.0, 10.0))
-        if choice < 0.75:
-            self._operate(world)
-        elif choice < 0.90:
-            self._disturb_bus(world)
-        elif choice < 0.97:
-            self._disturb_drive(world)
+        if random.random() < 0.03:
+            self._pace_s = random.choice((0.1, 0.3, 1.0, 3.0))
+        if self.watch.active:  # one fault at a time: beside this one there are the operators alone
+            self._encoder_events += 1
+            if self._encoder_events <= _MOST_ENCODER_EVENTS:
+                self._ask_something(world, mishaps)
+            elif world.axis.state in ENABLED:
+                world.axis.disarm()
+            else:
+                mishaps.mend_encoder()
+        elif random.random() < 0.75 or mishaps.drive_disobeys:
+            self._encoder_events = 0
+            self._ask_something(world, mishaps)
         else:
-            random.choice((host_faults.stall(0.012), host_faults.stall(0.05), host_faults.wall_clock_jumps))(
-                world, random
-            )
+            await mishaps.happen()
 
-    def _disturb_bus(self, world: World) -> None:
-        random = self.random
-        fault: Callable[[World, Random], None] = random.choice((
-            bus_faults.lose(1), bus_faults.lose(2), bus_faults.lose(4), bus_faults.double, bus_faults.reorder,
-            bus_faults.delay_within_a_tick, bus_faults.delay_beyond_a_tick, bus_faults.malformed,
-            bus_faults.error_passive, bus_faults.bus_off, bus_faults.interface_down,
-        ))  # fmt: skip
-        fault(world, random)
-        if random.random() < 0.2:
-            node = world.wire.node(SERVICE)
-            node.send_error = can.CanOperationError("No buffer space available", errno.ENOBUFS)
-            world.later(random.choice((0.011, 0.04)), lambda: setattr(node, "send_error", None))
-
-    def _disturb_drive(self, world: World) -> None:
-        random = self.random
-        for_s = random.uniform(0.01, 1.0)
-        match random.randrange(6):
-            case 0:
-                world.change(safe_torque_off=True)
-                world.later(for_s, lambda: world.change(safe_torque_off=False))
-            case 1:
-                world.change(fault_code=random.randint(2, 9))
-                world.later(for_s, lambda: world.change(fault_code=0))
-            case 2:
-                world.change(heartbeat_silent=True)
-                world.later(for_s, lambda: world.change(heartbeat_silent=False))
-            case 3:
-                world.change(load=random.uniform(-10.0, 10.0))
-            case 4:
-                world.change(gain_factor=random.uniform(0.7, 1.3), pole_factor=random.uniform(0.7, 1.3))
-            case _:
-                ahead = random.random() < 0.5
-                world.change(positive_limit=ahead, negative_limit=not ahead)
-                world.later(for_s, lambda: world.change(positive_limit=None, negative_limit=None))
-
-    def _operate(self, world: World) -> None:
+    def _ask_something(self, world: World, mishaps: ServiceMishaps) -> None:
         """Let a client ask for something: mostly sensible, sometimes not, sometimes out of turn."""
         random, axis = self.random, world.axis
         client = _CLIENTS[0] if random.random() < 0.8 else random.choice(_CLIENTS)
@@ -126,38 +158,57 @@ class ServiceSoak:
             world.service.desk.leave(client)
             return
         if axis.trip is not None:
+            if self.watch.active and axis.state is State.TRIPPED and random.random() < 0.6:
+                mishaps.mend_encoder()
             self._ask(world, {"op": "reset"}, client)
         elif axis.state is State.DISARMED:
-            if not axis.referenced:
-                self._ask(world, {"op": "home", "position": round(world.drive.position, 3)}, client)
-            self._ask(world, {"op": "arm"}, client)
+            self._arm(world, client)
         else:
-            self._ask(world, self._command(world), client)
+            at_rest, request = axis.state is State.HOLDING, self._command(axis)
+            if self._ask(world, request, client) and axis.state in DRIVEN:
+                velocity = request.get("velocity", axis.settings.homing.velocity)
+                if request["op"] in {"move", "jog", "home"} and isinstance(velocity, float):
+                    self.watch.move_asked(world.place(), abs(velocity), at_rest=at_rest)
 
-    def _command(self, world: World) -> dict[str, object]:
-        random, limits = self.random, world.axis.settings.limits
+    def _arm(self, world: World, client: str) -> None:
+        axis = world.axis
+        by_hand = axis.settings.homing.method == "set_here" or self.random.random() < 0.3
+        if not axis.referenced and by_hand and self._ask(world, {"op": "home", "position": world.place()}, client):
+            self.watch.placed()
+        self._ask(world, {"op": "arm"}, client)
+
+    def _command(self, axis: "Axis") -> dict[str, object]:
+        random, limits = self.random, axis.settings.limits
         velocity = random.uniform(0.1, 1.0) * limits.velocity
         target = random.uniform(limits.position_minimum, limits.position_maximum)
-        move = world.axis.move
+        near = 0.08 * limits.velocity
+        move = axis.move
         self.moves_reached += move is not None and move.outcome == "reached"
         return dict(random.choice((
             {"op": "stop", "quick": random.random() < 0.5},
             {"op": "disarm"},
             {"op": "jog", "velocity": velocity},
             {"op": "jog", "velocity": -velocity},
+            *[{"op": "home"}] * (0 if axis.settings.homing.method == "set_here" else 2 if axis.referenced else 20),
             {"op": "move", "position": random.choice((1e9, math.nan, -math.inf, 1e300))},
             {"op": random.choice(("status", "recording", "release", "take", "reload", "arm", "reset"))},
-            *[{"op": "move", "by": random.uniform(-20.0, 20.0), "velocity": velocity}] * 4,
+            *[{"op": "move", "by": random.uniform(-near, near), "velocity": velocity}] * 4,
             *[{"op": "move", "position": target, "velocity": velocity}] * 6,
         )))  # fmt: skip
 
-    def _ask(self, world: World, request: dict[str, object], client: str) -> None:
-        """Ask for something: it is answered or refused; anything else ends the soak."""
+    def _ask(self, world: World, request: dict[str, object], client: str) -> bool:
+        """Ask for something, and return whether it was carried out; what is neither that nor refused ends the soak."""
         self.requests += 1
         try:
             answer = world.service.handle(REQUESTS.validate_python(request), client)
         except (Refused, ValidationError):
             self.refusals += 1
-        else:
-            if not answer:
-                raise BrokenInvariantError(f"{request} was answered by nothing")
+            return False
+        if not answer:
+            raise BrokenInvariantError(f"{request} was answered by nothing")
+        return True
+
+
+def open_descriptors() -> int:
+    """Return how many descriptors this process has open."""
+    return len(list(Path("/proc/self/fd").iterdir()))

@@ -1,0 +1,202 @@
+"""What must hold of an axis whose encoder has begun to count wrongly: how far it goes, and what it then claims to know.
+
+As in :mod:`twostage_servo.faults.budget`, the way has three parts, each from the limits and the model: what passes
+before the fault is certain, which `check` holds to the position overrun unless ``axis.limits.undetected_travel`` states
+more; the latency; and coming to rest, by the quick stop or without effort, whichever takes longer. The speed is that of
+the motion that was asked for; an encoder that counts half lets the law drive twice as fast, and one that stands still
+lets the effort grow by the jam effort until it is told from friction.
+
+Another scale is told by the jump of the measured speed where it comes in motion, if that jump is more than the noise
+that the observer assumes. Later, or at rest, it is told from the answer to the effort alone, like a plant of another
+gain: one that is :data:`MODEL_ERROR` off is accepted, and what looks like such a one cannot be told from it. That is
+the limit of one encoder, and no travel is held to a bound then.
+"""
+
+import math
+
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
+from twostage_servo.axis.state import DRIVEN, State
+
+ENCODER_FACTORS = {"turned round": -1.0, "counting double": 2.0, "counting half": 0.5, "frozen": 0.0}
+"""What can become of an encoder, and how many units it then counts for one."""
+
+REFUSED_GAINS = (0.45, 2.2)
+"""Below the first and above the second multiple of the model's gain a plant is none that could be accepted."""
+
+_SAMPLE_AGE_TICKS = 2
+"""A fault may fall just behind a sample, and a sample is read a tick after it was taken."""
+
+
+def undetected_travel(design: AxisDesign) -> float:
+    """Return how far the axis may go, in axis unit, before an encoder that counts wrongly has to be noticed."""
+    limits = design.settings.limits
+    stated: float | None = getattr(limits, "undetected_travel", None)
+    return limits.position_overrun if stated is None else max(stated, limits.position_overrun)
+
+
+def travel_bound(design: AxisDesign, speed: float, factor: float) -> float:
+    """Return how far the axis may go in all, in axis unit.
+
+    Parameters
+    ----------
+    design
+        The axis.
+    speed
+        Largest speed of the motion without the fault, in axis unit/s.
+    factor
+        How many units the encoder counts for one.
+    """
+    limits = design.settings.limits
+    reached = 2.0 * speed if factor == ENCODER_FACTORS["counting half"] else speed
+    if factor == ENCODER_FACTORS["frozen"]:
+        plant = design.settings.plant
+        reached += abs(plant.gain) / plant.pole * limits.jam_effort * (1.0 + MODEL_ERROR)
+    coasting = reached / (design.settings.plant.pole * (1.0 - MODEL_ERROR))
+    rest = max(coasting, design.certain_stopping_distance(reached, limits.quick_stop_deceleration))
+    latency_s = (IMPLAUSIBLE_SAMPLES + _SAMPLE_AGE_TICKS) * design.period_s
+    return undetected_travel(design) + reached * latency_s + rest + design.settings.window.position
+
+
+class EncoderWatch:
+    """Follows an axis from the moment at which its encoder begins to count wrongly.
+
+    Parameters
+    ----------
+    axis
+        The axis.
+
+    Attributes
+    ----------
+    factor
+        How many units the encoder counts for one; 1 while it is sound.
+    closest
+        Largest travel so far as a share of its bound.
+    """
+
+    def __init__(self, axis: Axis) -> None:
+        self._axis = axis
+        self.factor = 1.0
+        self.closest = 0.0
+        self._origin = self._speed = self._bound = 0.0
+        self._gain = 1.0
+        self._error_allowed = 0.0
+        self._is_certain = True
+        self._was_driven = False
+        self._began = ""
+        self._holds_since: float | None = None  # the effort with which it held when its encoder stood still
+
+    @property
+    def active(self) -> bool:
+        """Whether the encoder counts wrongly."""
+        return self.factor != 1.0
+
+    @property
+    def in_doubt(self) -> bool:
+        """Whether the axis may take its place for another one, so that its position limits say nothing of the truth."""
+        return self._error_allowed > 0.0
+
+    def begin(self, factor: float, position: float, speed: float, gain: float = 1.0) -> None:
+        """Begin to watch.
+
+        Parameters
+        ----------
+        factor
+            How many units the encoder counts for one from now on.
+        position, speed
+            Where the axis truly is, and its velocity, in axis unit and axis unit/s.
+        gain
+            The plant's true gain, as a multiple of the model's.
+        """
+        design = self._axis.design
+        self.factor, self._gain = factor, gain
+        self._began = f"{self._axis.state} at {speed:.4g}"
+        jump = abs((1.0 - factor) * speed) * design.period_s
+        self._begin_motion(position, abs(speed), shows=jump > design.noise.measurement_variance**0.5)
+        self._holds_since = self._axis.law.effort
+
+    def move_asked(self, position: float, velocity: float, *, at_rest: bool) -> None:
+        """Take a motion that was asked for, at a velocity in axis unit/s, of an axis at a true position."""
+        if not self.active:
+            return
+        if at_rest:
+            self._began += f", then from rest at {velocity:.4g}"
+            self._begin_motion(position, velocity, shows=False)
+        else:
+            self._speed = max(self._speed, velocity)
+            self._set_bound()
+
+    def look(self, position: float, speed: float, effort: float) -> str | None:
+        """Look at the true axis (axis unit, axis unit/s) and its effort after a tick; say what is wrong, or None.
+
+        An encoder that stands still at a holding axis is friction's double: until the effort has changed by the jam
+        effort, which is more than the axis' friction, nothing tells them apart, and the axis may creep.
+        """
+        begins, self._was_driven = not self._was_driven, self._axis.state in DRIVEN
+        if begins and self._was_driven and (wrong := self._look_at_arming(position, speed)):
+            return wrong
+        if not self.active:
+            return None
+        if self.factor == 0.0 and self._holds_since is not None and self._axis.state is State.HOLDING:
+            if abs(effort - self._holds_since) < self._axis.settings.limits.jam_effort:
+                self._origin = position
+                self._error_allowed = math.inf
+        else:
+            self._holds_since = None
+        travel = abs(position - self._origin)
+        self.closest = max(self.closest, travel / self._bound)
+        if travel <= self._bound:
+            return None
+        name = next(name for name, factor in ENCODER_FACTORS.items() if factor == self.factor)
+        trip = self._axis.trip
+        return (
+            f"with its encoder {name} since it was {self._began} {self._axis.settings.unit}/s the axis has gone "
+            f"{travel:.4g} {self._axis.settings.unit}, {self._bound:.4g} is the most; it is {self._axis.state}, "
+            f"{'not tripped' if trip is None else trip.code}"
+        )
+
+    def _look_at_arming(self, position: float, speed: float) -> str | None:
+        """Look at an axis that has been armed, at a true position and speed; return what is wrong, or None."""
+        believed = self._axis.law.observer.position
+        if not self._axis.referenced:
+            return None
+        error, allowed = abs(believed - position), self._error_allowed + self._accuracy(abs(speed))
+        if error <= allowed:
+            return None
+        return (
+            f"the axis counts as referenced, takes its place for {believed:.6g} {self._axis.settings.unit}, and is at "
+            f"{position:.6g}: that is off by {error:.4g}, and {allowed:.4g} is the most"
+        )
+
+    def mended(self) -> None:
+        """Take notice that the encoder counts rightly again; where it is may still be wrong."""
+        self.factor = 1.0
+
+    def placed(self) -> None:
+        """Take notice that the axis was told where it is, or has found it out."""
+        self._error_allowed = 0.0
+        if self.active:
+            self._error_allowed = abs(1.0 - self.factor) * self._bound
+
+    def _begin_motion(self, position: float, speed: float, *, shows: bool) -> None:
+        """Begin with a motion; `shows` says whether the fault shows in the samples themselves, whatever the plant."""
+        self._origin, self._speed = position, speed
+        low, high = REFUSED_GAINS
+        self._is_certain = shows or self.factor <= 0.0 or not low < self.factor * self._gain < high
+        self._set_bound()
+        self._error_allowed += abs(1.0 - self.factor) * self._bound
+
+    def _set_bound(self) -> None:
+        certain = travel_bound(self._axis.design, self._speed, self.factor)
+        self._bound = certain if self._is_certain else math.inf
+
+    def _accuracy(self, speed: float) -> float:
+        """How well an axis knows its place that was told it at rest or has found it at its slow homing speed.
+
+        Its last sample may be as old as the limit for that.
+        """
+        settings, design = self._axis.settings, self._axis.design
+        homed = 3.0 * settings.homing.slow_velocity * design.period_s
+        moved = speed * (settings.limits.stale_feedback_ms / 1e3 + _SAMPLE_AGE_TICKS * design.period_s)
+        return settings.window.position + settings.limits.innovation + homed + moved
