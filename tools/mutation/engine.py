@@ -1,8 +1,10 @@
 """What mutmut does in the throw-away copy; started by :mod:`run` as a process of its own, in that copy.
 
 ``engine.py CORES PLAN RESULTS FILE...`` mutates the files, runs mutmut, and writes one JSON object a mutant to RESULTS.
-PLAN is JSON: keys of mutants under ``known`` are taken as survived and not tried; ``only``, unless null, names the keys
-to look at; with ``quick`` what survived has survived.
+PLAN is JSON: what became of a mutant whose key is under ``known`` is taken from there, and it is not tried; ``only``,
+unless null, names the keys to look at, ``sample`` how many of them, ``share`` which part, ``seed`` in which order; what
+becomes of each is written to the file ``progress`` at once; after ``most_s`` seconds no other is begun; with ``quick``
+what survived has survived.
 
 mutmut's own operators are used but for the strings, with three added: a comparison is negated, a condition is negated,
 and an ``and`` or ``or`` loses either side. Places that mutmut leaves out are taken in. A property is written as an
@@ -16,6 +18,7 @@ import difflib
 import importlib
 import json
 import sys
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -24,6 +27,7 @@ from typing import Any
 sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 from mutation.mutant import Mutant  # noqa: E402 - found by the path above
+from mutation.results import in_order, share_of  # noqa: E402 - likewise
 
 cst: Any = importlib.import_module("libcst")
 file_mutation: Any = importlib.import_module("mutmut.mutation.file_mutation")
@@ -140,6 +144,48 @@ def _is_of_interest_outside(mutation: Any, module: Any) -> bool:
     return "property(" not in str(module.code_for_node(node))
 
 
+def tests_for(name: str | None, path: str) -> tuple[str, ...]:
+    """Return the tests that call a mutant's function, or anything in its file for one outside functions."""
+    state: Any = importlib.import_module("mutmut.state").state()
+    by_function = state.tests_by_mangled_function_name
+    if name is not None:
+        tests = set(by_function.get(name.rpartition("__mutmut_")[0], ()))
+    else:
+        module = path[:-3].replace("/", ".") + "."
+        tests = {test for function, found in by_function.items() if function.startswith(module) for test in found}
+    return tuple(sorted(tests, key=lambda test: (state.duration_by_test[test], test)))
+
+
+def report_each(command: Any, mutants: dict[str, Mutant], plan: dict[str, Any], status_by_exit_code: Any) -> None:
+    """Let mutmut write what becomes of each mutant as it is known, and end when the time is over."""
+    register = command._register_mutant_result  # noqa: SLF001 - mutmut has no hook for it
+    began_s = time.monotonic()
+
+    def report(result: Any, data: Any) -> None:
+        register(result, data)
+        mutant = dataclasses.replace(mutants[result.mutant_name], status=status_by_exit_code[result.exit_code])
+        with Path(plan["progress"]).open("a", encoding="utf-8") as file:
+            file.write(json.dumps(dataclasses.asdict(mutant)) + "\n")
+        if plan["most_s"] is not None and time.monotonic() - began_s > plan["most_s"]:
+            raise KeyboardInterrupt
+
+    command._register_mutant_result = report  # noqa: SLF001 - likewise
+
+
+def verdict_of(name: str | None, mutant: Mutant, codes: dict[str, int | None], plan: dict[str, Any]) -> str:
+    """Return what became of a mutant in forked processes, or that a process of its own has to tell."""
+    status_by_exit_code: Any = importlib.import_module("mutmut.stats").status_by_exit_code
+    if mutant.key in plan["known"]:
+        return str(plan["known"][mutant.key])
+    if name is None:
+        return "fresh"
+    if codes[name] is None:
+        return "open"
+    status = str(status_by_exit_code[codes[name]])
+    sure = {"killed", "timeout", "survived"} if plan["quick"] else {"killed", "timeout"}
+    return status if status in sure else "fresh"
+
+
 def main(cores: int, plan: dict[str, Any], results: Path, paths: list[str]) -> None:
     """Mutate, run mutmut, and write what became of each mutant."""
     configure()
@@ -148,25 +194,37 @@ def main(cores: int, plan: dict[str, Any], results: Path, paths: list[str]) -> N
         file.write_text(without_properties(file.read_text(encoding="utf-8")), encoding="utf-8")
     command: Any = importlib.import_module("mutmut.__main__")
     data: Any = importlib.import_module("mutmut.mutation.data")
-    status_by_exit_code: Any = importlib.import_module("mutmut.stats").status_by_exit_code
-    known, only = set(plan["known"] or ()), plan["only"]
-    mutants = [entry for path in paths for entry in enumerated(path) if only is None or entry[1].key in only]
-    names = [name for name, mutant, _ in mutants if name is not None and mutant.key not in known]
-    if names:
-        command._run(names, cores)  # noqa: SLF001 - what `mutmut run` calls, in a process that has been configured
-    codes: dict[str, int] = {}
+    every = [entry for path in paths for entry in enumerated(path)]
+    chosen = set(chosen_keys([mutant.key for _, mutant, _ in every], plan))
+    mutants = [entry for entry in every if entry[1].key in chosen]
+    named = {name: mutant for name, mutant, _ in mutants if name is not None and mutant.key not in plan["known"]}
+    if named:
+        report_each(command, named, plan, importlib.import_module("mutmut.stats").status_by_exit_code)
+        command._run(list(named), cores)  # noqa: SLF001 - what `mutmut run` calls, in a process that has been configured
+    codes: dict[str, int | None] = {}
     for path in paths:
         one = data.SourceFileMutationData(path=path)
         one.load()
         codes |= one.exit_code_by_key
     with results.open("w", encoding="utf-8") as out:
         for name, mutant, source in mutants:
-            status = "survived" if mutant.key in known else "fresh"
-            sure = {"killed", "timeout", "survived"} if plan["quick"] else {"killed", "timeout"}
-            if name is not None and status_by_exit_code[codes[name]] in sure:
-                status = status_by_exit_code[codes[name]]
-            entry = dataclasses.replace(mutant, status=status, source=source() if status == "fresh" else "")
+            status = verdict_of(name, mutant, codes, plan)
+            fresh = status == "fresh"
+            entry = dataclasses.replace(
+                mutant,
+                status=status,
+                source=source() if fresh else "",
+                tests=tests_for(name, mutant.path) if fresh else (),
+            )
             out.write(json.dumps(dataclasses.asdict(entry)) + "\n")
+
+
+def chosen_keys(keys: list[str], plan: dict[str, Any]) -> list[str]:
+    """Return the keys that a plan looks at, of all that there are."""
+    chosen = in_order(keys if plan["only"] is None else set(keys) & set(plan["only"]), plan["seed"])
+    if plan["share"] is not None:
+        chosen = share_of(chosen, *plan["share"])
+    return chosen if plan["sample"] is None else chosen[: plan["sample"]]
 
 
 if __name__ == "__main__":

@@ -16,9 +16,12 @@ class Mutant:
     diff
         The lines that it removes and adds, each with its sign.
     status
-        ``killed``, ``timeout``, ``survived``, or ``fresh`` where a process of its own has to tell.
+        ``killed``, ``timeout``, ``survived``; ``fresh`` where a process of its own has to tell, and ``open`` where the
+        time was over before.
     source
         The whole mutated file; empty unless the status is ``fresh``.
+    tests
+        The tests that a process of its own runs, the quickest first; empty for all of the room.
     """
 
     path: str
@@ -26,6 +29,7 @@ class Mutant:
     diff: tuple[str, ...]
     status: str = ""
     source: str = ""
+    tests: tuple[str, ...] = ()
 
     @property
     def place(self) -> str:

@@ -1,10 +1,16 @@
 """Mutation testing: what the tests of a room would not notice if its code were wrong.
 
 ``python tools/mutation/run.py control`` changes `twostage_servo/control/` in a throw-away copy, one small change at a
-time, and lets `tests/control` find out; ``axis`` likewise. It takes the better part of an hour on two cores; ``--only
-observer.py`` takes some minutes. It exits with 1 if less than 90 % of the mutants are found, or if one that is not
-found has no reason in `survivors.toml`. A mutant with a reason there counts as not found and is not tried, but with
-``--all``. A reason whose mutant is found, or no longer exists, is reported: it can go.
+time, and lets `tests/control` find out; ``axis``, ``service`` and ``client`` likewise, see :mod:`rooms`. The whole of a
+room takes the better part of an hour on two cores, or more; ``--only observer.py`` takes some minutes. It exits with 1
+if less than the room's least share of the mutants is found, or if one that is not found has no reason in
+`survivors.toml`. A mutant with a reason there counts as not found and is not tried, but with ``--all``. A reason whose
+mutant is found, or no longer exists, is reported: it can go.
+
+With ``--results FILE`` what became of each mutant is kept there as soon as it is known, and a run that is started again
+goes on from there: a verdict counts until the file changes, and that nothing was found until the tests change.
+``--minutes`` ends a run after a time. Mutants are chosen in an order that has nothing to do with where they stand, and
+is the same every time: ``--sample 150`` is a fair sample, and ``--share 3/20`` the third of twenty parts, for CI.
 
 The mutants are mutmut's (3.8), because it imports the tests once, forks for each mutant, and runs just the tests that
 call the function, the quickest first: three mutants a second, where cosmic-ray needs a process with numpy and scipy for
@@ -13,17 +19,16 @@ defaults outside functions, negated conditions. Texts are left out: docstrings, 
 says. So numbers, signs, operators, comparisons, conditions and arguments count.
 
 What mutmut leaves out and nothing adds: functions under a decorator other than ``property``, ``staticmethod`` and
-``classmethod``. In the two rooms these are the three validators of ``axis/settings.py``, whose comparisons
+``classmethod``. In `control` and `axis` these are the three validators of ``axis/settings.py``, whose comparisons
 `tests/axis/test_settings_of_an_axis.py` holds by hand on either side. The rest of that module is numbers of fields.
 
-Examples of property tests are the same every time. A test that takes more processor time than :mod:`limits` allows
-counts as one that found its mutant: an endless loop is noticed.
+Tests that start processes are left out: they take seconds each, and in real time. Examples of property tests are the
+same every time. A test that takes ten times as much processor time as without a mutant (:mod:`limits`) counts as one
+that found it: an endless loop is noticed.
 """
 
 import argparse
 import concurrent.futures
-import dataclasses
-import fnmatch
 import importlib.util
 import json
 import os
@@ -40,10 +45,13 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path[0] = str(HERE.parent)
 
-from mutation.mutant import Mutant  # noqa: E402 - found by the path above
+from mutation.limits import SPENT  # noqa: E402 - found by the path above
+from mutation.mutant import Mutant  # noqa: E402 - likewise
+from mutation.results import KeptResults, with_status  # noqa: E402 - likewise
+from mutation.rooms import ROOMS, files_of, tests_of  # noqa: E402 - likewise
 
 TREE = HERE.parent.parent
-LEAST_SCORE = 0.9
+LEAST_SCORE = {"control": 0.9, "axis": 0.9, "service": 0.85, "client": 0.85}
 MOST_WALL_S = 3600
 """For the whole room in one process."""
 NEEDED = {"mutmut": "mutmut>=3.8,<3.9", "pytest": "pytest", "hypothesis": "hypothesis"}
@@ -53,12 +61,13 @@ source_paths = ["twostage_servo"]
 only_mutate = {paths}
 also_copy = ["config", "docs", "README.md", "CHANGELOG.md", "tools"]
 pytest_add_cli_args_test_selection = {tests}
-pytest_add_cli_args = ["-p", "no:cacheprovider", "-p", "mutation.limits"]
+pytest_add_cli_args = {arguments}
 track_dependencies = false
 use_git_change_detection = false
 timeout_multiplier = 6.0
 timeout_constant = 5.0
 """
+PYTEST = ["-p", "no:cacheprovider", "-p", "mutation.limits", "-m", "not processes"]
 
 
 def copied(target: Path) -> Path:
@@ -70,44 +79,62 @@ def copied(target: Path) -> Path:
     return target
 
 
-def environment(tree: Path) -> dict[str, str]:
-    """Return the environment in which a tree's tests see that tree."""
+def environment(tree: Path, spent: Path) -> dict[str, str]:
+    """Return the environment in which a tree's tests see that tree, and how long each of them may take."""
     return os.environ | {
         "CI": "1",
         "PYTHONPATH": os.pathsep.join([str(tree), str(HERE.parent)]),
         "PYTHONDONTWRITEBYTECODE": "1",
         "OPENBLAS_NUM_THREADS": "1",
+        SPENT: str(spent),
     }
 
 
-def forked(tree: Path, tests: list[str], paths: list[str], plan: dict[str, Any], jobs: int) -> list[Mutant]:
+def forked(
+    folder: Path, tests: list[str], paths: list[str], plan: dict[str, Any], jobs: int, kept: KeptResults
+) -> list[Mutant]:
     """Run mutmut in a copy of the tree; return its mutants with their status."""
-    (tree / "plan.json").write_text(json.dumps(plan), encoding="utf-8")
+    tree = copied(folder / "forked")
+    progress = folder / "progress.jsonl"
+    (tree / "plan.json").write_text(json.dumps(plan | {"progress": str(progress)}), encoding="utf-8")
     with (tree / "pyproject.toml").open("a", encoding="utf-8") as file:
-        file.write(SETTINGS.format(paths=json.dumps(paths), tests=json.dumps(tests)))
+        values = {"paths": json.dumps(paths), "tests": json.dumps(tests), "arguments": json.dumps(PYTEST)}
+        file.write(SETTINGS.format(**values))
     results = tree / "mutation.jsonl"
     command = [sys.executable, str(HERE / "engine.py"), str(jobs), "plan.json", str(results), *paths]
-    environ = environment(tree)
+    environ = environment(tree, folder / "spent.json")
     # mutmut puts its mutated copy of the tree before everything else itself.
     environ["PYTHONPATH"] = str(HERE.parent)
-    done = subprocess.run(command, cwd=tree, env=environ, stdout=sys.stderr, check=False)  # noqa: S603 - fixed
-    if done.returncode:
-        raise SystemExit(f"mutmut ended with {done.returncode}")
-    entries = [json.loads(line) for line in results.read_text(encoding="utf-8").splitlines()]
-    return [Mutant(**entry | {"diff": tuple(entry["diff"])}) for entry in entries]
+    try:
+        code = subprocess.run(command, cwd=tree, env=environ, stdout=sys.stderr, check=False).returncode  # noqa: S603
+    finally:  # also where it was interrupted
+        for mutant in read_mutants(progress):
+            if mutant.status in {"killed", "timeout"} or (plan["quick"] and mutant.status == "survived"):
+                kept.keep(mutant)
+    if code:
+        raise SystemExit(f"mutmut ended with {code}")
+    return read_mutants(results)
 
 
-def in_own_process(tree: Path, tests: list[str], path: str, source: str) -> str:
-    """Run the tests on one mutated file, those that bear its name first; return the status."""
-    file = tree / path
+def read_mutants(path: Path) -> list[Mutant]:
+    """Return the mutants in a file; none if there is none."""
+    if not path.exists():
+        return []
+    entries = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    return [Mutant(**entry | {"diff": tuple(entry["diff"]), "tests": tuple(entry["tests"])}) for entry in entries]
+
+
+def in_own_process(tree: Path, tests: list[str], mutant: Mutant, spent: Path) -> str:
+    """Run the tests on one mutated file: those that call it, or those of the room that bear its name first."""
+    file = tree / mutant.path
     original = file.read_text(encoding="utf-8")
-    file.write_text(source, encoding="utf-8")
+    file.write_text(mutant.source, encoding="utf-8")
     first = [str(test.relative_to(tree)) for name in tests for test in (tree / name).rglob(f"test_{file.stem}*.py")]
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-p", "mutation.limits"]
-    command += [*sorted(first), *tests]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", *PYTEST]
+    command += list(mutant.tests) or [*sorted(first), *tests]
     try:
         code = subprocess.run(  # noqa: S603 - fixed
-            command, cwd=tree, env=environment(tree), capture_output=True, timeout=MOST_WALL_S, check=False
+            command, cwd=tree, env=environment(tree, spent), capture_output=True, timeout=MOST_WALL_S, check=False
         ).returncode
     except subprocess.TimeoutExpired:
         return "timeout"
@@ -116,8 +143,10 @@ def in_own_process(tree: Path, tests: list[str], path: str, source: str) -> str:
     return {0: "survived", 36: "timeout"}.get(code, "killed")
 
 
-def verdicts(folder: Path, tests: list[str], found: list[Mutant], jobs: int) -> list[Mutant]:
-    """Try what forking could not decide in processes of its own."""
+def verdicts(
+    folder: Path, tests: list[str], found: list[Mutant], jobs: int, kept: KeptResults, until_s: float | None
+) -> list[Mutant]:
+    """Try what forking could not decide in processes of its own, until a time on the monotonic clock."""
     trees: queue.SimpleQueue[Path] = queue.SimpleQueue()
     for number in range(jobs):
         trees.put(copied(folder / f"fresh{number}"))
@@ -125,11 +154,15 @@ def verdicts(folder: Path, tests: list[str], found: list[Mutant], jobs: int) -> 
     def verdict(mutant: Mutant) -> Mutant:
         if mutant.status != "fresh":
             return mutant
+        if until_s is not None and time.monotonic() > until_s:
+            return with_status(mutant, "open")
         tree = trees.get()
         try:
-            return dataclasses.replace(mutant, status=in_own_process(tree, tests, mutant.path, mutant.source))
+            decided = with_status(mutant, in_own_process(tree, tests, mutant, folder / "spent.json"))
         finally:
             trees.put(tree)
+        kept.keep(decided)
+        return decided
 
     undecided = sum(mutant.status == "fresh" for mutant in found)
     mutants = []
@@ -147,8 +180,9 @@ def reasons() -> dict[str, str]:
     return {key: group["reason"] for group in groups for key in group["mutants"]}
 
 
-def summarise(mutants: list[Mutant], explained: dict[str, str], tried: list[str], seconds: float) -> dict[str, Any]:
+def summarise(every: list[Mutant], explained: dict[str, str], tried: list[str], seconds: float) -> dict[str, Any]:
     """Return counts per module, the score, the survivors, and which of the reasons that were tried can go."""
+    mutants = [mutant for mutant in every if mutant.status != "open"]
     modules: dict[str, dict[str, int]] = {}
     for mutant in mutants:
         counts = modules.setdefault(mutant.path, {"mutants": 0, "killed": 0, "timeout": 0, "survived": 0})
@@ -161,6 +195,7 @@ def summarise(mutants: list[Mutant], explained: dict[str, str], tried: list[str]
     return {
         "modules": modules,
         "mutants": len(mutants),
+        "open": len(every) - len(mutants),
         "found": found,
         "score": found / len(mutants) if mutants else 1.0,
         "seconds": round(seconds, 1),
@@ -177,7 +212,8 @@ def as_text(summary: dict[str, Any]) -> str:
         numbers = f"{counts['mutants']:8}{counts['killed']:8}{counts['timeout']:8}{counts['survived']:9}{share:8.1%}"
         lines.append(f"{path:48}{numbers}")
     total = f"{summary['found']} of {summary['mutants']} found: {summary['score']:.1%}"
-    lines.append(f"{total}, in {summary['seconds']:.0f} s")
+    left = f"; {summary['open']} were not tried any more" if summary["open"] else ""
+    lines.append(f"{total}, in {summary['seconds']:.0f} s{left}")
     lines += [
         f"\nsurvived: {survivor['key']}\n  {survivor['reason'] or 'NO REASON in survivors.toml'}"
         for survivor in summary["survivors"]
@@ -186,10 +222,18 @@ def as_text(summary: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def main() -> int:
-    """Run the mutants that the arguments describe; return 0 if enough are found and the others explained."""
+def share(text: str) -> tuple[int, int]:
+    """Return the numbers of ``3/20``."""
+    number, _, of = text.partition("/")
+    if not (number.isdecimal() and of.isdecimal() and 1 <= int(number) <= int(of)):
+        raise argparse.ArgumentTypeError(f"{text!r}: give a part of all, such as 3/20")
+    return int(number), int(of)
+
+
+def arguments() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("room", choices=["control", "axis"])
+    parser.add_argument("room", choices=list(ROOMS))
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--all", action="store_true", help="try those of survivors.toml as well, not just the others")
@@ -197,32 +241,53 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="do not try survivors again in processes of their own")
     parser.add_argument("--only", default=["*"], nargs="+", metavar="GLOB", help="files of the room, as observer.py")
     parser.add_argument("--tests", nargs="+", metavar="PATH", help="fewer than those of the room, which is quicker")
+    parser.add_argument("--results", type=Path, metavar="FILE", help="keep the verdicts here, and go on from there")
+    parser.add_argument("--minutes", type=float, metavar="N", help="begin no mutant after so many minutes")
+    parser.add_argument("--sample", type=int, metavar="N", help="so many mutants")
+    parser.add_argument("--share", type=share, metavar="I/N", help="the I-th of N parts of the mutants")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of the order in which they are tried")
+    return parser
+
+
+def make_plan(options: argparse.Namespace, explained: dict[str, str], kept: dict[str, str]) -> dict[str, Any]:
+    """Return what the engine is to do."""
+    known = kept | ({} if options.all else dict.fromkeys(explained, "survived"))
+    only = None
+    if options.again:
+        survivors = json.loads(options.again.read_text(encoding="utf-8"))["survivors"]
+        only = [survivor["key"] for survivor in survivors]
+    most_s = None if options.minutes is None else 60.0 * options.minutes
+    chosen = {"only": only, "sample": options.sample, "share": options.share, "seed": options.seed}
+    return {"known": known, "quick": options.quick, "most_s": most_s, **chosen}
+
+
+def main() -> int:
+    """Run the mutants that the arguments describe; return 0 if enough are found and the others explained."""
+    parser = arguments()
     options = parser.parse_args()
-    tests: list[str] = options.tests or [f"tests/{options.room}"]
+    room = ROOMS[options.room]
+    tests: list[str] = options.tests or tests_of(room, TREE)
     missing = [package for name, package in NEEDED.items() if importlib.util.find_spec(name) is None]
     if missing:
         parser.error(f"install beside the package: pip install {' '.join(repr(package) for package in missing)}")
-    top = TREE / "twostage_servo" / options.room
-    every = {str(path.relative_to(top)): path for path in sorted(top.rglob("*.py"))}
-    files = [path for name, path in every.items() if any(fnmatch.fnmatch(name, glob) for glob in options.only)]
-    paths = [str(path.relative_to(TREE)) for path in files]
+    paths = files_of(room, TREE, options.only)
     if not paths:
-        parser.error(f"no file of {top.relative_to(TREE)} is called {' or '.join(options.only)}")
+        parser.error(f"no file of {options.room} is called {' or '.join(options.only)}")
     started = time.monotonic()
-    explained = reasons()
-    plan: dict[str, Any] = {"known": [] if options.all else sorted(explained), "only": None, "quick": options.quick}
-    if options.again:
-        survivors = json.loads(options.again.read_text(encoding="utf-8"))["survivors"]
-        plan["only"] = [survivor["key"] for survivor in survivors]
+    explained, kept = reasons(), KeptResults(options.results, TREE, tests)
+    plan = make_plan(options, explained, kept.load())
+    until_s = None if plan["most_s"] is None else started + plan["most_s"]
     with tempfile.TemporaryDirectory(prefix="mutation-") as name:
         folder = Path(name)
-        found = forked(copied(folder / "forked"), tests, paths, plan, options.jobs)
-        mutants = verdicts(folder, tests, found, options.jobs)
-    tried = [key for key in explained if plan["only"] is None or key in plan["only"]]
+        found = forked(folder, tests, paths, plan, options.jobs, kept)
+        mutants = verdicts(folder, tests, found, options.jobs, kept, until_s)
+    looked_at = {mutant.key for mutant in mutants}
+    is_part = options.sample is not None or options.share is not None or plan["only"] is not None
+    tried = [key for key in explained if not is_part or key in looked_at]
     summary = summarise(mutants, explained, tried, time.monotonic() - started)
     print(json.dumps(summary, indent=1) if options.json else as_text(summary))
     unexplained = any(survivor["reason"] is None for survivor in summary["survivors"])
-    return 1 if unexplained or summary["score"] < LEAST_SCORE else 0
+    return 1 if unexplained or summary["score"] < LEAST_SCORE[options.room] else 0
 
 
 if __name__ == "__main__":
