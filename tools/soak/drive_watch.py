@@ -51,8 +51,9 @@ class DriveWatch:
         self._allowed_ticks = design.ticks(settings.arming_timeout_ms) + waited + _SLACK_TICKS
         self._ticks_enabled = 0
         self._ticks_heard = 0
-        self._anchor: float | None = None  # where the drive was told to be disabled, in axis unit
-        self._coasting = 0.0
+        self._anchor: float | None = None  # where it was first seen since it was told to be disabled, in axis unit
+        # The first samples tell the speed from which it coasts; one of them may be a spike.
+        self._coasting = self._coasts(settings.limits.overspeed)
         self.disobeyed = False
 
     def look(self, *, reported: bool) -> str | None:
@@ -63,8 +64,8 @@ class DriveWatch:
             self._anchor = None
             self.disobeyed = False
             return None
-        if self._anchor is None:
-            self._anchor, self._coasting = drive.position, self._coasts(abs(drive.velocity))
+        if reported and self._anchor is None:
+            self._anchor = drive.position
         self._ticks_heard = self._ticks_heard + 1 if reported else 0
         if drive.effort == 0.0 and not drive.enabled:
             self._ticks_enabled = 0
@@ -73,7 +74,7 @@ class DriveWatch:
         if drive.enabled:
             self._ticks_enabled += reported
             return self._say_enabled() if self._ticks_enabled > self._allowed_ticks else None
-        return self._look_at_motion(drive.position - self._anchor)
+        return None if self._anchor is None else self._look_at_motion(drive.position - self._anchor)
 
     def _say_enabled(self) -> str | None:
         axis = self._axis

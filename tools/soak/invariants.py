@@ -96,13 +96,12 @@ class Invariants:
         while feedback may be missing.
         """
         axis = self._axis
-        if not axis.referenced or state not in DRIVEN or state in LATCHED:
-            self._fastest, self._position = 0.0, None
-            return
-        observer, limits = axis.law.observer, axis.settings.limits
         speed = 0.0 if self._position is None else abs(position - self._position) / axis.design.period_s
         self._position = position
         self._fastest = max(0.999 * self._fastest, speed)
+        if not axis.referenced or state not in DRIVEN or state in LATCHED:
+            return
+        observer, limits = axis.law.observer, axis.settings.limits
         gate = limits.innovation + 1e-3 * limits.innovation_time_ms * self._fastest
         allowed = 2.0 * gate + self._fastest * self._unseen_s + axis.settings.window.position
         error = abs(observer.position - position)

@@ -230,7 +230,8 @@ class ServiceMishaps:
         """Let the process receive a signal that would end it: the axis comes to rest, and the drive is disabled."""
         world = self._world
         self.has_ended = True
-        os.kill(os.getpid(), self._random.choice(ENDING))
+        ending = [number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN]
+        os.kill(os.getpid(), self._random.choice(ending))
         await asyncio.sleep(world.service.settings.shutdown_timeout_ms / 1e3 + 20.0 * world.period_s)
         if not self._serving_has_ended():
             self.broken = f"the service has not ended; the axis is {world.axis.state}"
