@@ -44,6 +44,6 @@ def files_of(room: Room, tree: Path, globs: Sequence[str] = ("*",)) -> list[str]
     return found
 
 
-def tests_of(room: Room, tree: Path) -> list[str]:
+def paths_of_tests(room: Room, tree: Path) -> list[str]:
     """Return the folders and files of the room's tests, from the top of the tree."""
     return [test for test in room.tests if (tree / test).exists()]

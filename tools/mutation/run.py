@@ -48,7 +48,7 @@ sys.path[0] = str(HERE.parent)
 from mutation.limits import SPENT  # noqa: E402 - found by the path above
 from mutation.mutant import Mutant  # noqa: E402 - likewise
 from mutation.results import KeptResults, with_status  # noqa: E402 - likewise
-from mutation.rooms import ROOMS, files_of, tests_of  # noqa: E402 - likewise
+from mutation.rooms import ROOMS, files_of, paths_of_tests  # noqa: E402 - likewise
 
 TREE = HERE.parent.parent
 LEAST_SCORE = {"control": 0.9, "axis": 0.9, "service": 0.85, "client": 0.85}
@@ -266,7 +266,7 @@ def main() -> int:
     parser = arguments()
     options = parser.parse_args()
     room = ROOMS[options.room]
-    tests: list[str] = options.tests or tests_of(room, TREE)
+    tests: list[str] = options.tests or paths_of_tests(room, TREE)
     missing = [package for name, package in NEEDED.items() if importlib.util.find_spec(name) is None]
     if missing:
         parser.error(f"install beside the package: pip install {' '.join(repr(package) for package in missing)}")

@@ -16,12 +16,15 @@ much worse for the same result, measurement variance -> 1/r. The poles in s then
 """
 
 import dataclasses
+import functools
+import math
 from collections.abc import Iterator
 from random import Random
 from typing import Any
 
-from twostage_servo.config import Config, LoadedConfig, load
-from twostage_servo.service.assembly import build_service
+from twostage_servo.axis.detection import detections
+from twostage_servo.config import Config, ConfigError, LoadedConfig, load
+from twostage_servo.service.assembly import build_service, design
 
 GATES = (0.025, 0.1, 0.25, 0.5)
 """Innovation gates at standstill as shares of the position overrun: 0.5, 2, 5 and 10 mm of the demo's 20."""
@@ -30,6 +33,9 @@ LEAST_STALE_TICKS = 3
 """Ticks without feedback that an axis on a long tick has to bridge as well: one may be lost, and one be late."""
 
 _DEMO_TICK_S = 0.01
+
+_QUIETER = (1.0, 0.1, 0.01, 1e-3, 1e-4)
+"""Shares of the measurement variance that are tried, one after the other."""
 
 _LENGTHS = (
     "position_minimum", "position_maximum", "position_overrun", "following_error_minimum", "innovation",
@@ -147,7 +153,8 @@ def converted(length: float, time: float, tick_s: float, *, same_loop: bool = Tr
         "axis.limits.effort_rate": limits.effort_rate / time,
         "axis.limits.effort_saturation_ms": limits.effort_saturation_ms * time,
         "axis.limits.following_error_time_s": limits.following_error_time_s * time,
-        "axis.limits.innovation_time_ms": limits.innovation_time_ms * time,
+        # By how much dates of samples are off depends on the tick, not on the plant.
+        "axis.limits.innovation_time_ms": limits.innovation_time_ms * tick_s / _DEMO_TICK_S,
         "axis.limits.jam_time_ms": limits.jam_time_ms * time,
         "axis.limits.stale_feedback_ms": max(
             limits.stale_feedback_ms * min(time, 1.0), 1e3 * LEAST_STALE_TICKS * tick_s
@@ -181,6 +188,30 @@ def configuration(kind: Kind, tick_ms: float, gate: float, *more: str, same_loop
     return Configuration(", ".join([name, *more]), tuple(overrides), tick_ms / 1e3)
 
 
+@functools.cache
+def quieter(kind: Kind, tick_ms: float, gate: float, *, same_loop: bool) -> tuple[str, ...]:
+    """Return overrides with which a wrong encoder of this axis is noticed soon enough for `check`.
+
+    The noise that the observer assumes is lowered as far as that takes; the encoders here have next to none. Where the
+    position overrun does not do even so, the travel that is needed is stated.
+    """
+    axis = converted(kind.length, kind.time, tick_ms / 1e3, same_loop=same_loop)
+    variance = axis["axis.observer.measurement_variance"]
+    tried = configuration(kind, tick_ms, gate, same_loop=same_loop)
+    for share in _QUIETER:
+        more = () if share == 1.0 else (f"axis.observer.measurement_variance={share * variance!r}",)
+        try:
+            made = design(tried.load(*more))
+        except ConfigError:  # a loop with so quick an observer is fragile
+            continue
+        travel = max(one.travel for one in detections(made))
+        if travel <= made.settings.limits.position_overrun:
+            return more
+        if math.isfinite(travel):
+            return (*more, f"axis.limits.undetected_travel={1.05 * travel!r}")
+    raise ValueError(f"no noise makes a wrong encoder of the {kind.name} axis certain on a tick of {tick_ms:g} ms")
+
+
 def homing_by_switch(kind: Kind) -> list[str]:
     """Return overrides by which an axis homes at a switch that is active from a place down, at its cruise velocity."""
     axis = load(None).config.axis
@@ -207,7 +238,7 @@ def drawn_by(seed: int) -> tuple[Configuration, Random]:
 def draw(random: Random) -> Configuration:
     """Draw a configuration."""
     kind, tick_ms, gate, same_loop = random.choice(list(variants()))
-    more = []
+    more = list(quieter(kind, tick_ms, gate, same_loop=same_loop))
     if random.random() < 0.25:  # a drive that is mounted the other way round
         gain = converted(kind.length, kind.time, tick_ms / 1e3)["axis.plant.gain"]
         more += [f"axis.plant.gain={-gain!r}", f"simulation.gain={-gain!r}"]

@@ -6,8 +6,8 @@ more; the latency; and coming to rest, by the quick stop or without effort, whic
 the motion that was asked for; an encoder that counts half lets the law drive twice as fast, and one that stands still
 lets the effort grow by the jam effort until it is told from friction.
 
-Another scale is told by the jump of the measured speed where it comes in motion, if that jump is more than the noise
-that the observer assumes. Later, or at rest, it is told from the answer to the effort alone, like a plant of another
+Another scale is told by the jump of the measured speed where it comes in motion, from the slowest speed on of which
+`check` says so. Later, or at rest, it is told from the answer to the effort alone, like a plant of another
 gain: one that is :data:`MODEL_ERROR` off is accepted, and what looks like such a one cannot be told from it. That is
 the limit of one encoder, and no travel is held to a bound then.
 """
@@ -16,6 +16,7 @@ import math
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.detection import allowed_travel, slowest_certain_velocity
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
 from twostage_servo.axis.state import DRIVEN, State
 
@@ -31,9 +32,7 @@ _SAMPLE_AGE_TICKS = 2
 
 def undetected_travel(design: AxisDesign) -> float:
     """Return how far the axis may go, in axis unit, before an encoder that counts wrongly has to be noticed."""
-    limits = design.settings.limits
-    stated: float | None = getattr(limits, "undetected_travel", None)
-    return limits.position_overrun if stated is None else max(stated, limits.position_overrun)
+    return max(allowed_travel(design), design.settings.limits.position_overrun)
 
 
 def travel_bound(design: AxisDesign, speed: float, factor: float) -> float:
@@ -77,6 +76,7 @@ class EncoderWatch:
 
     def __init__(self, axis: Axis) -> None:
         self._axis = axis
+        self._slowest = slowest_certain_velocity(axis.design)
         self.factor = 1.0
         self.closest = 0.0
         self._origin = self._speed = self._bound = 0.0
@@ -109,11 +109,9 @@ class EncoderWatch:
         gain
             The plant's true gain, as a multiple of the model's.
         """
-        design = self._axis.design
         self.factor, self._gain = factor, gain
         self._began = f"{self._axis.state} at {speed:.4g}"
-        jump = abs((1.0 - factor) * speed) * design.period_s
-        self._begin_motion(position, abs(speed), shows=jump > design.noise.measurement_variance**0.5)
+        self._begin_motion(position, abs(speed), shows=abs(speed) >= self._slowest)
         self._holds_since = self._axis.law.effort
 
     def move_asked(self, position: float, velocity: float, *, at_rest: bool) -> None:

@@ -1,0 +1,156 @@
+"""The mutation testing chooses what it tries the same every time, and goes on from what it has kept."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
+
+from mutation.limits import LEAST_CPU_S, OTHERWISE_CPU_S, TIMES, allowed_s
+from mutation.mutant import Mutant
+from mutation.results import KeptResults, digest, in_order, share_of, with_status
+from mutation.rooms import ROOMS, Room, files_of, paths_of_tests
+from mutation.run import TREE, make_plan, share, summarise
+
+KEYS = [f"service.loop:f{number}: - a + b" for number in range(1000)]
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    for name in ("twostage_servo/service/loop.py", "twostage_servo/cli/client.py", "tests/service/test_loop.py"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("a = 1\n")
+    return tmp_path
+
+
+def mutant(name: str = "f", status: str = "killed") -> Mutant:
+    return Mutant("twostage_servo/service/loop.py", name, ("- a", "+ b"), status)
+
+
+# Which ones -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_order_depends_on_the_seed_alone() -> None:
+    assert in_order(KEYS) == in_order(reversed(KEYS)) != KEYS
+    assert in_order(KEYS, 1) != in_order(KEYS)
+    without = in_order(KEYS[1:])
+    assert [key for key in in_order(KEYS) if key != KEYS[0]] == without
+
+
+def test_each_key_is_in_one_share_whatever_others_there_are() -> None:
+    shares = [share_of(KEYS, number, 20) for number in range(1, 21)]
+    assert sorted(key for part in shares for key in part) == sorted(KEYS)
+    assert all(25 <= len(part) <= 80 for part in shares)
+    assert share_of(KEYS[:500], 3, 20) == [key for key in shares[2] if key in KEYS[:500]]
+
+
+@pytest.mark.parametrize("text", ["0/5", "6/5", "1", "a/b", "1/0", "-1/5"])
+def test_a_share_that_is_none_is_refused(text: str) -> None:
+    assert share("3/20") == (3, 20)
+    with pytest.raises(Exception, match="give a part of all"):
+        share(text)
+
+
+def test_a_room_has_its_files_and_the_tests_that_there_are(tree: Path) -> None:
+    assert files_of(ROOMS["service"], tree) == ["twostage_servo/service/loop.py"]
+    assert files_of(ROOMS["service"], tree, ["port.py"]) == []
+    assert files_of(ROOMS["client"], tree) == ["twostage_servo/cli/client.py"]
+    assert paths_of_tests(ROOMS["service"], tree) == ["tests/service"]
+    assert paths_of_tests(Room((), ("tests/none",)), tree) == []
+
+
+def test_each_room_of_this_tree_has_files_and_tests() -> None:
+    for room in ROOMS.values():
+        assert files_of(room, TREE)
+        assert paths_of_tests(room, TREE)
+
+
+# How long a test may take ---------------------------------------------------------------------------------------------
+
+
+def test_a_test_may_take_a_multiple_of_what_it_took_unmutated() -> None:
+    assert allowed_s({"slow": 2.0, "quick": 0.01}, "slow") == TIMES * 2.0
+    assert allowed_s({"slow": 2.0, "quick": 0.01}, "quick") == LEAST_CPU_S
+    assert allowed_s({}, "unknown") == OTHERWISE_CPU_S
+
+
+# What is kept ---------------------------------------------------------------------------------------------------------
+
+
+def kept(tree: Path) -> KeptResults:
+    return KeptResults(tree / "kept.jsonl", tree, ["tests/service"])
+
+
+def test_a_verdict_counts_until_its_file_changes(tree: Path) -> None:
+    assert kept(tree).load() == {}
+    kept(tree).keep(mutant())
+    assert kept(tree).load() == {mutant().key: "killed"}
+    (tree / "tests/service/test_loop.py").write_text("a = 2\n")
+    assert kept(tree).load() == {mutant().key: "killed"}
+    (tree / "twostage_servo/service/loop.py").write_text("a = 2\n")
+    assert kept(tree).load() == {}
+
+
+def test_a_survivor_counts_until_the_tests_change(tree: Path) -> None:
+    kept(tree).keep(mutant(status="survived"))
+    assert kept(tree).load() == {mutant().key: "survived"}
+    (tree / "tests/service/test_more.py").write_text("a = 2\n")
+    assert kept(tree).load() == {}
+    kept(tree).keep(mutant())
+    assert kept(tree).load() == {mutant().key: "killed"}
+
+
+def test_the_last_verdict_of_a_mutant_is_the_one_that_counts(tree: Path) -> None:
+    for status in ("killed", "survived"):
+        kept(tree).keep(mutant(status=status))
+    assert kept(tree).load() == {mutant().key: "survived"}
+
+
+def test_a_file_that_is_gone_has_no_verdict(tree: Path) -> None:
+    kept(tree).keep(mutant())
+    (tree / "twostage_servo/service/loop.py").unlink()
+    assert kept(tree).load() == {}
+
+
+def test_nothing_is_kept_without_a_file(tree: Path) -> None:
+    nowhere = KeptResults(None, tree, ["tests/service"])
+    nowhere.keep(mutant())
+    assert nowhere.load() == {}
+
+
+def test_a_digest_is_of_names_and_contents(tree: Path) -> None:
+    before = digest(tree, ["tests", "twostage_servo/cli/client.py"])
+    assert before == digest(tree, ["twostage_servo/cli/client.py", "tests"])
+    (tree / "tests/service/test_loop.py").rename(tree / "tests/service/test_other.py")
+    assert digest(tree, ["tests", "twostage_servo/cli/client.py"]) != before
+
+
+# What is said ---------------------------------------------------------------------------------------------------------
+
+
+def test_what_was_not_tried_any_more_counts_neither_way() -> None:
+    every = [mutant("f"), mutant("g", "survived"), mutant("h", "timeout"), with_status(mutant("i"), "open")]
+    summary = summarise(every, {every[1].key: "equivalent"}, [every[1].key], 1.0)
+    assert (summary["mutants"], summary["found"], summary["open"]) == (3, 2, 1)
+    assert summary["score"] == pytest.approx(2 / 3)
+    assert summary["survivors"] == [{"key": every[1].key, "reason": "equivalent"}]
+    assert summary["reasons_without_mutant"] == []
+
+
+def test_a_plan_takes_what_was_kept_and_what_has_a_reason_for_known(tmp_path: Path) -> None:
+    again = tmp_path / "again.json"
+    again.write_text(json.dumps({"survivors": [{"key": "k"}]}))
+
+    class Options:
+        all, quick, minutes, sample, share, seed = False, True, 2.0, 150, (1, 3), 7
+        again: Path | None = None
+
+    options = Options()
+    plan = make_plan(options, {"a": "equivalent"}, {"b": "killed"})  # type: ignore[arg-type]
+    assert plan["known"] == {"a": "survived", "b": "killed"}
+    assert (plan["most_s"], plan["sample"], plan["share"], plan["seed"], plan["only"]) == (120.0, 150, (1, 3), 7, None)
+    options.all, options.again = True, again
+    plan = make_plan(options, {"a": "equivalent"}, {})  # type: ignore[arg-type]
+    assert (plan["known"], plan["only"]) == ({}, ["k"])
