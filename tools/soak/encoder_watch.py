@@ -18,7 +18,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
 from twostage_servo.axis.detection import allowed_travel, slowest_certain_velocity
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
-from twostage_servo.axis.state import DRIVEN, State
+from twostage_servo.axis.state import DRIVEN
 
 ENCODER_FACTORS = {"turned round": -1.0, "counting double": 2.0, "counting half": 0.5, "frozen": 0.0}
 """What can become of an encoder, and how many units it then counts for one."""
@@ -85,7 +85,7 @@ class EncoderWatch:
         self._is_certain = True
         self._was_driven = False
         self._began = ""
-        self._holds_since: float | None = None  # the effort with which it held when its encoder stood still
+        self._effort_before: float | None = None  # with which its encoder stood still, where that did not show
 
     @property
     def active(self) -> bool:
@@ -111,8 +111,9 @@ class EncoderWatch:
         """
         self.factor, self._gain = factor, gain
         self._began = f"{self._axis.state} at {speed:.4g}"
-        self._begin_motion(position, abs(speed), shows=abs(speed) >= self._slowest)
-        self._holds_since = self._axis.law.effort
+        shows = abs(speed) >= self._slowest
+        self._begin_motion(position, abs(speed), shows=shows)
+        self._effort_before = None if shows or factor else self._axis.law.effort
 
     def move_asked(self, position: float, velocity: float, *, at_rest: bool) -> None:
         """Take a motion that was asked for, at a velocity in axis unit/s, of an axis at a true position."""
@@ -128,20 +129,20 @@ class EncoderWatch:
     def look(self, position: float, speed: float, effort: float) -> str | None:
         """Look at the true axis (axis unit, axis unit/s) and its effort after a tick; say what is wrong, or None.
 
-        An encoder that stands still at a holding axis is friction's double: until the effort has changed by the jam
-        effort, which is more than the axis' friction, nothing tells them apart, and the axis may creep.
+        An encoder that stands still at an axis too slow for its jump to show is friction's double: until the effort has
+        changed by the jam effort, which is more than its friction, nothing tells them apart, and the axis may creep.
         """
         begins, self._was_driven = not self._was_driven, self._axis.state in DRIVEN
         if begins and self._was_driven and (wrong := self._look_at_arming(position, speed)):
             return wrong
         if not self.active:
             return None
-        if self.factor == 0.0 and self._holds_since is not None and self._axis.state is State.HOLDING:
-            if abs(effort - self._holds_since) < self._axis.settings.limits.jam_effort:
+        if self._effort_before is not None:
+            if abs(effort - self._effort_before) < self._axis.settings.limits.jam_effort:
                 self._origin = position
                 self._error_allowed = math.inf
-        else:
-            self._holds_since = None
+            else:
+                self._effort_before = None
         travel = abs(position - self._origin)
         self.closest = max(self.closest, travel / self._bound)
         if travel <= self._bound:
