@@ -15,6 +15,7 @@ from twostage_servo.canbus.profile import DriveProfile, Feedback
 from twostage_servo.canbus.protocol import ProtocolSettings
 from twostage_servo.cli.main import build_parser
 from twostage_servo.config import load
+from twostage_servo.faults.table import PROCESS_FAULTS, TABLE
 from twostage_servo.paper.errata import errata_table
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.requests import Request
@@ -145,6 +146,14 @@ def test_the_policies_for_a_lost_holder_are_all_explained() -> None:
 def test_the_shipped_configurations_are_listed() -> None:
     listed = set(re.findall(r"`(\w+\.toml)`", README[README.index("| shipped configuration") :]))
     assert listed == {path.name for path in (ROOT / "config").glob("*.toml")}
+
+
+def test_the_faults_are_counted() -> None:
+    count = len({fault.number for fault in TABLE} | set(PROCESS_FAULTS))
+    (verbs,) = [action.choices for action in build_parser()._actions if action.dest == "verb"]
+    assert isinstance(verbs, dict)
+    texts = [README, (ROOT / "docs" / "faults.md").read_text(encoding="utf-8"), verbs["faults"].description]
+    assert [re.findall(r"\b(\d+) faults\b", text) for text in texts] == [[str(count)]] * 3
 
 
 def test_links_and_pictures_lead_somewhere() -> None:

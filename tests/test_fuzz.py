@@ -50,6 +50,10 @@ def test_frames(episode: int) -> None:
     assert outcome.counts["rejected"] > 0
 
 
+def test_late_frames_are_among_them() -> None:
+    assert frames.run_episode(7, 3, 500).counts["late"] > 0
+
+
 @pytest.mark.parametrize("episode", range(10))
 def test_lines(episode: int) -> None:
     outcome = lines.run_episode(7, episode, 200)

@@ -9,7 +9,7 @@ import logging
 import math
 import random
 from collections import Counter, deque
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
 from typing import Any
 
 import can
@@ -69,6 +69,8 @@ class MadeUpBus(can.BusABC):
         Whether the next attempt to open it fails.
     now_s
         The time by which frames are stamped.
+    before_s, is_behind
+        When the drain before the latest was, and whether it left frames behind.
 
     Parameters
     ----------
@@ -85,16 +87,22 @@ class MadeUpBus(can.BusABC):
         self.sends = 0
         self.trouble: Exception | None = None
         self.refuses_to_open = False
-        self.now_s = 0.0
+        self.now_s = self.before_s = self._drained_s = 0.0
+        self.is_behind = False
+        self._is_empty = True
 
     def recv(self, timeout: float | None = None) -> can.Message | None:  # noqa: ARG002 - never waits
         """Take the next frame."""
+        if self.now_s != self._drained_s:  # the first of a drain
+            self.before_s, self._drained_s = self._drained_s, self.now_s
+            self.is_behind, self._is_empty = not self._is_empty, False
         if self.queue:
             message = self.queue.popleft()
             self.taken.append(message)
             return message
         if self.trouble is not None:
             raise self.trouble
+        self._is_empty = True
         return None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:  # noqa: ARG002 - never waits
@@ -111,7 +119,20 @@ class MadeUpBus(can.BusABC):
         """Open again, for the link."""
         if self.refuses_to_open:
             raise can.CanInitializationError("made up")
+        self._drained_s, self._is_empty = self.now_s, True
         return self
+
+    def is_late(self, message: can.Message, period_s: float) -> bool | None:
+        """Whether a frame of the latest drain had waited for half a period, or for nobody knows how long.
+
+        None where rounding decides. A date from the future, or from a second before the drain before, is no date.
+        """
+        if self.is_behind:
+            return True
+        age_s, waited_s = self.now_s - message.timestamp, self.before_s - message.timestamp
+        if self.clock is None or not (age_s >= -1e-6 and waited_s <= 1.0):
+            return False
+        return None if abs(waited_s - 0.5 * period_s) < 1e-9 else waited_s > 0.5 * period_s
 
 
 class BenchLoop(VirtualClockLoop):
@@ -229,7 +250,10 @@ class Bench:
         self._trip: object = None
         self._decoded = 0
         self._seen = (0, 0, 0, 0)
-        self._last: int | None = None
+        self._last: can.Message | None = None
+        self._arrivals: Iterator[can.Message] = iter(())
+        self._was_late = 0
+        self._was_fresh = False
         self._counts = (0, 0, 0)
         self._sends_seen = 0
         self._acting = 0.0
@@ -322,18 +346,25 @@ class Bench:
     def _observe(self, _: int, direction: str, number: int, __: bytes) -> None:
         """Look, as a frame is about to be taken, at what became of the one before."""
         if direction == "received":
-            if self._last is not None:
-                self._check_frame()
-            self._last = number
+            if self._last is None:
+                self._arrivals = iter([message for message in self.bus.taken if self._is_ours(message)])
+            else:
+                self._check_frame(self._last)
+            self._last = next(self._arrivals)
+            if self._last.arbitration_id != number:
+                raise Failed(f"{self._last} came in, and 0x{number:X} is taken")
 
-    def _check_frame(self) -> None:
+    def _is_ours(self, message: can.Message) -> bool:
+        return message.arbitration_id in self.listened and not message.is_error_frame
+
+    def _check_frame(self, message: can.Message) -> None:
         """Check that a frame that came in was used, rejected, or left as a repetition: exactly one of the three."""
         rejected = self.station.port.link.counters.rejected
         drive = self.station.axis.drive
         monitor = drive.monitor
         left = monitor.doubled + monitor.reordered
         was_rejected, was_decoded, was_left, was_refused = self._seen
-        number = self._last
+        number = message.arbitration_id
         refused = rejected - was_rejected
         decoded = self._decoded - was_decoded
         if refused + decoded != (0 if number == self.command_number and not refused else 1):
@@ -341,14 +372,29 @@ class Bench:
         if number == self.feedback_number:
             if decoded and left - was_left not in {0, 1}:
                 raise Failed(f"a feedback was {left - was_left} times counted as repeated or overtaken")
-            if decoded and left == was_left and not drive.fresh and monitor.rejected == was_refused:
-                raise Failed("a feedback that is neither rejected nor a repetition is not fresh")
+            if decoded and left == was_left and monitor.rejected == was_refused:
+                self._check_freshness(message)
             if refused and monitor.rejected != was_refused + 1:
                 raise Failed("a rejected feedback is not among the errors of the channel")
         position = drive.position
         if position is not None and not math.isfinite(position):
             raise Failed(f"the measured position is {position}")
         self._seen = rejected, self._decoded, left, monitor.rejected
+        self._was_late, self._was_fresh = monitor.late, drive.fresh
+
+    def _check_freshness(self, message: can.Message) -> None:
+        """Check that a feedback that is neither rejected nor a repetition is either fresh or late."""
+        drive = self.station.axis.drive
+        late = drive.monitor.late != self._was_late
+        expected = self.bus.is_late(message, self.period_s)
+        if expected not in {None, late}:
+            raise Failed(
+                f"a feedback of {message.timestamp}, read at {self.bus.now_s}, is {'' if late else 'not '}late"
+            )
+        if drive.fresh != (self._was_fresh or not late):
+            raise Failed(
+                "a feedback that is neither rejected, a repetition nor late is not fresh, or one is in spite of it"
+            )
 
     def check_tick(self) -> None:
         """Check what holds after every tick."""
@@ -367,6 +413,7 @@ class Bench:
         counters, monitor, taken = station.port.link.counters, axis.drive.monitor, self.bus.taken
         self._counts = counters.received, counters.errors, counters.dropped
         self._last = None
+        self._was_late, self._was_fresh = monitor.late, False
         self._seen = counters.rejected, self._decoded, monitor.doubled + monitor.reordered, monitor.rejected
         self.frames += len(taken)
         if axis.state in _IN_DRIVE:
@@ -394,9 +441,9 @@ class Bench:
         received, errors, _ = self._counts
         if self.station.port.error is None:
             if self._last is not None:
-                self._check_frame()
+                self._check_frame(self._last)
             wrong = sum(message.is_error_frame for message in taken)
-            ours = sum(message.arbitration_id in self.listened for message in taken if not message.is_error_frame)
+            ours = sum(map(self._is_ours, taken))
             if counters.received - received != ours or counters.errors - errors != wrong:
                 raise Failed(
                     f"{ours} frames and {wrong} error frames came in, {counters.received - received} and "

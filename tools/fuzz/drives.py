@@ -178,8 +178,13 @@ def _protocol(**tables: dict[str, object]) -> list[str]:
 
 
 def _tolerant(*keep: str) -> list[str]:
-    """Return overrides that lift every limit at which an axis trips, so that it stays driven whatever it reads."""
+    """Return overrides that lift the limits at which an axis trips, so that it stays driven whatever it reads.
+
+    But for the time that widens the gate with the speed: dates that are off by so much would hide each change of the
+    encoder, and such an axis is refused.
+    """
     kept = {"effort", "effort_rate", "jam_effort", "velocity", "acceleration", "quick_stop_deceleration", *keep}
+    kept.add("innovation_time_ms")
     overrides = ["axis.arming_timeout_ms=50.0"]
     for name, field in LimitSettings.model_fields.items():
         if name in kept or name.startswith("position"):

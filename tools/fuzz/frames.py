@@ -52,6 +52,7 @@ def run_episode(seed: int, episode: int, frames: int) -> Outcome:
             "rejected": link.counters.rejected,
             "received_while_driven": bench.frames_while_driven,
             "repeated_or_overtaken": monitor.doubled + monitor.reordered,
+            "late": monitor.late,
             "bus_lost": attack.lost,
             "read_as_the_bus_went_off": bench.discarded,
             "compared_with_reference": attack.compared,
