@@ -38,6 +38,7 @@ PATIENT = {
     "command_timeout_ms": 1000.0,
 }
 JOG_TIMEOUT = "axis.jog_timeout_ms=2000"
+MOST_ATTEMPTS = 20
 LONGEST_S = 60  # ends a test that hangs; nothing is measured against it
 
 
@@ -111,7 +112,22 @@ class Machine:
         return SocketcandBus("can0", host="127.0.0.1", port=self.port)
 
     def ask(self, *arguments: str, exit_code: int = 0) -> dict[str, Any]:
-        done = subprocess.run(  # noqa: S603
+        done = self.call(*arguments)
+        assert done.returncode == exit_code, done
+        answer: dict[str, Any] = json.loads(done.stdout)
+        return answer
+
+    def ask_disarmed(self, *arguments: str) -> dict[str, Any]:
+        """Ask as often as an operator is told to: a host that has just missed a tick does not know the speed."""
+        for _ in range(MOST_ATTEMPTS):
+            if "ask again" not in (done := self.call(*arguments)).stdout:
+                break
+        assert done.returncode == 0, done
+        answer: dict[str, Any] = json.loads(done.stdout)
+        return answer
+
+    def call(self, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(  # noqa: S603
             [*COMMAND, *arguments, "--json"],
             capture_output=True,
             text=True,
@@ -119,9 +135,6 @@ class Machine:
             timeout=LONGEST_S,
             check=False,
         )
-        assert done.returncode == exit_code, done
-        answer: dict[str, Any] = json.loads(done.stdout)
-        return answer
 
     def watch_until(self, condition: Any) -> dict[str, Any]:
         with socket.socket(socket.AF_UNIX) as client:
@@ -487,7 +500,7 @@ def test_home_here_counts_from_where_the_axis_stands(machine: Machine) -> None:
     assert machine.ask("move", "200", "--wait")["axis"]["position"] == pytest.approx(200.0, abs=0.1)
     machine.ask("disarm")
     # Without a reference of its own, homing takes the place where the axis stands for axis.homing.position.
-    assert machine.ask("home")["axis"]["position"] == pytest.approx(0.0, abs=0.1)
+    assert machine.ask_disarmed("home")["axis"]["position"] == pytest.approx(0.0, abs=0.1)
 
 
 def test_home_looks_for_the_switch(machine: Machine) -> None:
