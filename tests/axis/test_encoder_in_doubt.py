@@ -240,14 +240,20 @@ def noisy(**limits: Any) -> AxisSettings:
 
 
 def test_an_axis_whose_encoder_could_lie_for_long_is_refused_unless_it_says_for_how_long() -> None:
-    design = design_axis(noisy(), PERIOD_S)
+    design = design_axis(axis_settings(position_overrun=2.0), PERIOD_S)
     with pytest.raises(
-        DesignError, match=r"is allowed\. What hides it is the noise .* 5 mm .*undetected_travel"
+        DesignError, match=r"is allowed\. What hides it is the noise .* 0\.1 mm .*undetected_travel"
     ) as caught:
         check_detection(design)
     assert caught.value.key == ("axis", "limits", "position_overrun")
     worst = max(one.travel for one in detections(design))
-    if worst < float("inf"):
-        stated = dataclasses.replace(design, settings=noisy(undetected_travel=worst + 1.0))
-        check_detection(stated)
-        assert allowed_travel(stated) == worst + 1.0
+    stated = dataclasses.replace(design, settings=axis_settings(position_overrun=2.0, undetected_travel=worst + 1.0))
+    check_detection(stated)
+    assert allowed_travel(stated) == worst + 1.0
+
+
+def test_where_it_could_lie_for_ever_no_distance_can_be_stated() -> None:
+    design = design_axis(noisy(undetected_travel=1e6), PERIOD_S)
+    with pytest.raises(DesignError, match=r"after any distance.* 5 mm .*innovation below the 1\.25 that") as caught:
+        check_detection(design)
+    assert caught.value.key == ("axis", "limits", "position_overrun")

@@ -10,8 +10,11 @@ from typing import Any
 
 import pytest
 
+from twostage_servo.cli import operate
 from twostage_servo.cli.client import BAD_USAGE, Client
+from twostage_servo.cli.main import main
 from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.service.reloading import LONGEST_S
 
 SNAPSHOT = {"event": "snapshot", "n": 1}
 
@@ -341,3 +344,20 @@ def test_a_connection_that_fails_is_a_lost_one(script: Script, part: str) -> Non
     assert (caught.value.code, caught.value.exit_code) == ("connection_lost", ExitCode.UNREACHABLE)
     setattr(client, part, sound)
     client.__exit__(None, None, None)
+
+
+def test_a_reload_is_waited_for_as_long_as_the_service_lets_it_take(
+    script: Script, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    client, waited = script.connect(), []
+    monkeypatch.setattr(operate, "_connect", lambda _: client)
+
+    def answer() -> dict[str, Any]:
+        waited.append(client._socket.gettimeout())
+        drive = {"enabled": False, "lasting": []}
+        return {"ok": True, "axis": {"name": "x", "state": "disarmed"}, "drive": drive, "trip": None}
+
+    monkeypatch.setattr(client, "_read", answer)
+    assert main(["reload", "--json"]) == ExitCode.DONE
+    assert waited[0] == operate.LONGEST_RELOAD_S
+    assert operate.LONGEST_RELOAD_S > LONGEST_S

@@ -101,14 +101,20 @@ def test_the_same_axis_in_metres_goes_the_same_way(number: int, phase: Phase) ->
     [
         (
             1.0,
-            ["axis.limits.stale_feedback_ms=3", "simulation.feedback_period_ms=2", "simulation.command_timeout_ms=30"],
+            [
+                "axis.limits.stale_feedback_ms=3",
+                "simulation.feedback_period_ms=2",
+                "simulation.command_timeout_ms=30",
+                "axis.observer.measurement_variance=3e-4",
+            ],
         ),
         (
             50.0,
             [
                 "axis.limits.stale_feedback_ms=150",
                 "simulation.feedback_period_ms=100",
-                "axis.limits.innovation=3",
+                "axis.limits.innovation=2",
+                "axis.limits.undetected_travel=50",
                 "simulation.command_timeout_ms=500",
                 "axis.limits.jam_time_ms=250",
                 "axis.limits.missed_ticks=1",

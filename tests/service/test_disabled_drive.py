@@ -399,12 +399,27 @@ def test_coasting_from_a_drive_that_is_disabled_at_speed_is_no_motion_to_be_told
 
 
 TICKS = {
-    1.0: ("axis.law.performance_index_ratio=5e-7", "axis.limits.stale_feedback_ms=15", "axis.limits.missed_ticks=5"),
+    1.0: (
+        "axis.law.performance_index_ratio=5e-7",
+        "axis.limits.stale_feedback_ms=15",
+        "axis.limits.missed_ticks=5",
+        "axis.observer.measurement_variance=3e-4",
+    ),
     5.0: ("axis.law.performance_index_ratio=1e-5",),
     10.0: (),
     20.0: ("axis.law.performance_index_ratio=2e-4", "axis.limits.stale_feedback_ms=60"),
-    50.0: ("axis.law.performance_index_ratio=2e-3", "axis.limits.stale_feedback_ms=200", "axis.limits.innovation=5"),
-    100.0: ("axis.law.performance_index_ratio=2e-3", "axis.limits.stale_feedback_ms=400", "axis.limits.innovation=20"),
+    50.0: (
+        "axis.law.performance_index_ratio=2e-3",
+        "axis.limits.stale_feedback_ms=200",
+        "axis.limits.innovation=2",
+        "axis.limits.undetected_travel=50",
+    ),
+    100.0: (
+        "axis.law.performance_index_ratio=2e-3",
+        "axis.limits.stale_feedback_ms=400",
+        "axis.limits.innovation=4",
+        "axis.limits.undetected_travel=100",
+    ),
 }
 
 

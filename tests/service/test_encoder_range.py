@@ -28,4 +28,5 @@ def test_an_armed_axis_never_goes_half_a_round_unseen(stale_ms: int, missed_tick
 
 def test_where_the_axis_is_short_the_nearest_round_is_the_right_one() -> None:
     short = ["axis.limits.position_minimum=-5", "axis.limits.position_maximum=5", "axis.limits.position_overrun=2"]
+    short.append("axis.limits.undetected_travel=8")
     build_service(load(None, [RANGE, *short, "axis.limits.stale_feedback_ms=500"]))

@@ -111,7 +111,18 @@ def check_detection(design: AxisDesign) -> None:
         f"noticed only after {how_far}, and {allowed:.4g} {unit} is allowed. What hides it is the noise that the axis "
         f"is set up for: {noise:.3g} {unit} (root of axis.observer.measurement_variance), and "
         f"axis.limits.innovation_time_ms = {design.settings.limits.innovation_time_ms:g}: lower them to what they are, "
-        "lower the velocity, or state the distance that is acceptable as axis.limits.undetected_travel",
+        f"{_remedy(worst, design.period_s)}",
+    )
+
+
+def _remedy(worst: Detection, period_s: float) -> str:
+    """Return what else helps: no distance can be stated where the axis goes on for ever."""
+    if math.isfinite(worst.travel):
+        return "lower the velocity, or state the distance that is acceptable as axis.limits.undetected_travel"
+    step = abs(CHANGES[worst.change] - 1.0) * worst.velocity * period_s
+    return (
+        f"or axis.limits.innovation below the {step:.3g} that such an encoder shows too little or too much in a tick; "
+        "no distance can be stated here"
     )
 
 

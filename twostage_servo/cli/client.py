@@ -109,6 +109,11 @@ class Client:
         _raise_failure(answer)
         return answer
 
+    def be_patient(self, timeout_s: float) -> None:
+        """Wait for answers for so long (s) from here on: for what takes the service longer than a few ticks."""
+        self._timeout_s = timeout_s
+        self._socket.settimeout(timeout_s)
+
     def watch(self, every: int) -> Iterator[Answer]:
         """Yield a snapshot every so many ticks."""
         self.request(op="watch", every=every)

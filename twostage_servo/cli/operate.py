@@ -22,6 +22,8 @@ _ARMED = {
 }  # fmt: skip
 _BRAKING = {"stopping", "quick_stopping", "disarming", "tripped_stopping", "tripped_quick_stop"}
 _JOG_INTERVAL_S = 0.1
+LONGEST_RELOAD_S = 65.0
+"""Longer than the service lets the process take that reads a configuration again."""
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -228,6 +230,7 @@ def _release(options: argparse.Namespace) -> ExitCode:
 
 def _reload(options: argparse.Namespace) -> ExitCode:
     with _connect(options) as client:
+        client.be_patient(LONGEST_RELOAD_S)
         return _finish(options, client.request(op="reload"))
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from twostage_servo.machine import Machine
     from twostage_servo.service.loop import ServoService
 
-_LONGEST_S: Final = 60.0
+LONGEST_S: Final = 60.0
 _COMMAND: Final = (sys.executable, "-P", "-c", "from twostage_servo.service.axes_preparation import main; main()")
 _LAST_WORDS: Final = 500
 
@@ -105,7 +105,7 @@ def by_a_process(job: Job) -> Prepared:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # of this thread, and so of the process
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(  # noqa: S603 - our own module
-        _COMMAND, input=pickle.dumps(job), capture_output=True, timeout=_LONGEST_S, env=environment, check=False
+        _COMMAND, input=pickle.dumps(job), capture_output=True, timeout=LONGEST_S, env=environment, check=False
     )
     if done.returncode != 0:
         words = done.stderr.decode("utf-8", "replace")[-_LAST_WORDS:].strip()
