@@ -27,7 +27,10 @@ HERE: Final = Path(__file__).resolve().parent
 TREE: Final = HERE.parents[1]
 NAME: Final = "twostage-servo"
 SCRIPTS: Final = ("preinst", "postinst", "prerm", "postrm")
-EXAMPLES: Final = ("socketcan.toml", "two_processes.toml", "two_axes.toml", "second_axis.toml", "servo_drive.dbc")
+EXAMPLES: Final = (
+    "socketcan.toml", "two_processes.toml", "two_axes.toml", "second_axis.toml", "rotary_table.toml", "metres.toml",
+    "free_running.toml", "plain_drive.toml", "servo_drive.dbc", "rotary_table.dbc", "plain_drive.dbc",
+)  # fmt: skip
 _OPT: Final = Path("opt") / NAME
 _DOC: Final = Path("usr/share/doc") / NAME
 _PYTHON: Final = "/usr/bin/python3"
