@@ -27,12 +27,16 @@ from bench import (
     packages,
     run,
     simulated_time,
+    stop_latency,
+    stop_load,
     summary,
     whole_tick,
 )
 from bench.children import ChildError
 from bench.plan import FULL, QUICK
 
+from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.service.request_reading import BadRequestError, parse_request
 from twostage_servo.simulation.virtual_clock import run as simulate
 
 if TYPE_CHECKING:
@@ -135,6 +139,130 @@ def test_clients_make_work_until_they_are_ended(kind: str, tmp_path: Path) -> No
     assert len(asked) >= wanted[kind]
     assert len(connections) >= {"fifty_clients": 50, "connecting_client": 20}.get(kind, 1)
     assert all(json.loads(line)["op"] in {"watch", "status", "move", "recording"} for line in asked)
+
+
+@pytest.mark.parametrize("kind", sorted(stop_load.KINDS))
+def test_clients_that_try_to_prevent_a_stop_make_work(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In simulated time, against a server that refuses each line and ends each connection after ten of them."""
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    asked: list[bytes] = []
+    connections: list[int] = []
+
+    async def main() -> None:
+        async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            connections.append(len(connections))
+            with contextlib.closing(writer):
+                for _ in range(10):
+                    if not (line := await reader.readline()):
+                        return
+                    asked.append(line)
+                    writer.write(b"{}\n")
+
+        server = await asyncio.start_unix_server(serve, tmp_path / "s")
+        load = stop_load.KINDS[kind](tmp_path / "s")
+        for _ in range(200):
+            next(load)
+            for _ in range(3):
+                await asyncio.sleep(0)
+        load.close()
+        server.close()
+        await asyncio.sleep(0.01)
+
+    simulate(main())
+    assert len(connections) >= {"readers": 65, "connectors": 65, "half_closed": 57, "heavy_lines": 56}[kind]
+    if kind == "connectors":
+        assert not asked
+    elif kind == "heavy_lines":
+        assert {len(line) for line in asked} <= set(range(4000, 4097))
+        assert all(b'"stop"' in line for line in asked)
+        with pytest.raises(BadRequestError):
+            parse_request(asked[0].rstrip())
+    else:
+        assert {json.loads(line)["op"] for line in asked} == {"status"}
+
+
+class _Client:
+    """A service that loses every second stop, and refuses the others, since the axis is at rest."""
+
+    stops = 0
+
+    def __init__(self, path: Path, timeout_s: float) -> None:
+        self.repeated = 1
+        self.closed = False
+        if path.name == "nowhere":
+            raise CommandError(ExitCode.UNREACHABLE, "unreachable", "no service answers")
+
+    def request(self, *, op: str) -> None:
+        assert op == "stop"
+        _Client.stops += 1
+        code = "no_answer" if _Client.stops % 2 else "busy"
+        raise CommandError(ExitCode.UNREACHABLE, code, "so it is")
+
+    def close(self) -> None:
+        assert not self.closed
+        self.closed = True
+
+
+def test_a_stop_without_an_answer_is_lost_and_a_refusal_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stop_latency, "Client", _Client)
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    monkeypatch.setattr(_Client, "stops", 0)
+    told = stop_latency.ask(Path("there"), 9)
+    assert (len(told["us"]), told["lost"], told["repeated"]) == (5, 5, 10)
+    assert stop_latency.ask(Path("nowhere"), 9) == {"us": [], "lost": 10, "repeated": 0}
+
+
+def test_each_load_has_its_figures_or_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    loads: list[tuple[str, int]] = []
+
+    class Machine:
+        control_socket = Path("/nowhere")
+        priority = 40
+
+        def __init__(self, axes: int) -> None:
+            self.axes = axes
+
+        @contextlib.contextmanager
+        def service(self, *overrides: str) -> Iterator[None]:
+            assert overrides == ("service.tick_ms=1",)
+            yield
+
+        def send_afar(self, _: object) -> None:
+            """Nobody moves."""
+
+    @contextlib.contextmanager
+    def load(name: str, machine: Machine) -> Iterator[None]:
+        loads.append((name, machine.axes))
+        if name == "hogs":
+            raise ChildError("no hogs")
+        yield
+
+    def asked(command: list[str], *_: object) -> dict[str, Any]:
+        assert command[command.index("--count") + 1] == "7"
+        name = loads[-1][0]
+        return {"us": [] if name == "readers" else [1.0, 3.0], "lost": 7 if name == "readers" else 0, "repeated": 2}
+
+    monkeypatch.setattr(stop_latency, "_load", load)
+    monkeypatch.setattr(stop_latency, "json_of", asked)
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    plan = dataclasses.replace(QUICK, stops=7)
+    one, many = cast("Any", Machine(1)), cast("Any", Machine(8))
+    figures, missing = stop_latency.measure(one, many, plan, lambda _: None, tick_ms=1.0)
+    assert [name for name, _ in loads] == list(stop_latency.CONTENDERS)
+    assert {name for name, axes in loads if axes == 8} == {"eight_axes", "everything"}
+    assert missing == {"hogs": "no hogs", "readers": "all 7 were lost"}
+    assert set(figures) == set(stop_latency.CONTENDERS) - set(missing)
+    assert figures["everything"] == {
+        "p50": 1.0,
+        "p90": 3.0,
+        "p99": 3.0,
+        "max": 3.0,
+        "count": 2,
+        "lost": 0,
+        "repeated": 2,
+    }
 
 
 def test_each_pass_of_a_loop_has_a_lateness() -> None:

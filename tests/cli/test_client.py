@@ -6,6 +6,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -81,5 +82,55 @@ def test_what_was_said_last_is_read_though_nothing_can_be_sent_any_more(
     service.sendall(lines(*last))
     service.close()
     with pytest.raises(CommandError) as caught:
-        client.request(op="stop")
+        client.request(op="arm")
     assert caught.value.code == code
+    assert client.repeated == 0
+
+
+@pytest.mark.parametrize("op", ["stop", "disarm"])
+def test_a_stop_whose_connection_ends_is_asked_for_again(tmp_path: Path, op: str) -> None:
+    asked: list[dict[str, object]] = []
+
+    def serve(listener: socket.socket) -> None:
+        for last in (None, FAILURE, {"ok": True}):
+            stream, _ = listener.accept()
+            with stream, stream.makefile("rb") as requests:
+                if last is not None:  # the first one is closed before anything can be said
+                    asked.append(json.loads(requests.readline()))
+                    stream.sendall(lines(last))
+
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
+        listener.listen()
+        serving = threading.Thread(target=serve, args=(listener,))
+        serving.start()
+        client = Client(tmp_path / "s", timeout_s=60.0, axis="x")
+        assert client.request(op=op) == {"ok": True}
+        serving.join(60.0)
+        client.close()
+    assert asked == [{"op": op, "axis": "x"}] * 2
+    assert client.repeated == 2
+
+
+def test_a_stop_is_not_asked_for_again_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = 0.0
+
+    def closing(listener: socket.socket, connections: int) -> None:
+        for _ in range(connections):
+            listener.accept()[0].close()
+
+    def sleep(duration_s: float) -> None:
+        nonlocal now_s
+        now_s += 100.0 * duration_s
+
+    monkeypatch.setattr("twostage_servo.cli.client.time", SimpleNamespace(monotonic=lambda: now_s, sleep=sleep))
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
+        listener.listen()
+        serving = threading.Thread(target=closing, args=(listener, 3))
+        serving.start()
+        client = Client(tmp_path / "s", timeout_s=0.5)
+        with pytest.raises(CommandError) as caught:
+            client.request(op="stop")
+        serving.join(60.0)
+    assert (caught.value.code, caught.value.exit_code, client.repeated) == ("connection_lost", 4, 2)

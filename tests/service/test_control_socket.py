@@ -156,6 +156,8 @@ def test_a_watcher_that_never_reads_is_bounded_and_delays_nothing(path: Path) ->
 def test_of_many_that_connect_at_once_some_are_let_in_between_two_looks_at_the_clock(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
         callers = [socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) for _ in range(30)]
+        newcomers = control._newcomers
+        assert newcomers is not None
         try:
             for caller in callers:
                 caller.setblocking(False)
@@ -163,7 +165,7 @@ def test_of_many_that_connect_at_once_some_are_let_in_between_two_looks_at_the_c
             let_in = [0]
             for _ in range(60):
                 await asyncio.sleep(0)
-                let_in.append(len(control._connections))
+                let_in.append(len(newcomers))
             assert max(after - before for before, after in itertools.pairwise(let_in)) == 16
             assert let_in[-1] == 30
         finally:

@@ -10,13 +10,13 @@ import json
 import select
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 from twostage_servo.service.request_reading import LONGEST_LINE
 
-Load = Iterator[None]
+Load = Generator[None, None, None]
 """What a kind does: each step is a little of it, and does not wait."""
 
 _STATUS: Final = json.dumps({"op": "status"}).encode("ascii") + b"\n"
@@ -39,48 +39,61 @@ def heavy_lines(path: Path, count: int = 55) -> Load:
 def connectors(path: Path, count: int = 64) -> Load:
     """Connect and leave: the queue of those who wait to be let in is always full."""
     waiting: list[socket.socket] = []
-    while True:
-        one = _connected(path)
-        if one is None:
-            yield
-        else:
-            waiting.append(one)
-        if len(waiting) > count:
-            waiting.pop(0).close()
-            yield
+    with _closing(lambda: waiting):
+        while True:
+            one = _connected(path)
+            if one is None:
+                yield
+            else:
+                waiting.append(one)
+            if len(waiting) > count:
+                waiting.pop(0).close()
+                yield
 
 
 def half_closed(path: Path, count: int = 56) -> Load:
     """Ask for much, say that no more will come, and read nothing."""
     held: list[socket.socket] = []
-    while True:
-        one = _connected(path)
-        if one is not None:
-            with contextlib.suppress(OSError):
-                one.send(_UNREAD * _STATUS)
-                one.shutdown(socket.SHUT_WR)
-            held.append(one)
-        if len(held) > count:
-            held.pop(0).close()
-        yield
-        time.sleep(0.005)
+    with _closing(lambda: held):
+        while True:
+            one = _connected(path)
+            if one is not None:
+                with contextlib.suppress(OSError):
+                    one.send(_UNREAD * _STATUS)
+                    one.shutdown(socket.SHUT_WR)
+                held.append(one)
+            if len(held) > count:
+                held.pop(0).close()
+            yield
+            time.sleep(0.005)
 
 
 def _asking(path: Path, count: int, line: bytes) -> Load:
     asking: dict[int, socket.socket] = {}
     poll = select.poll()
-    while True:
-        while len(asking) < count and (one := _connected(path)) is not None:
-            asking[one.fileno()] = one
-            poll.register(one, select.POLLIN)
-            _send(one, line)
-        for number, _ in poll.poll(10):
-            if not _answered(asking[number]):
-                poll.unregister(number)
-                asking.pop(number).close()
-            else:
-                _send(asking[number], line)
+    with _closing(asking.values):
+        while True:
+            while len(asking) < count and (one := _connected(path)) is not None:
+                asking[one.fileno()] = one
+                poll.register(one, select.POLLIN)
+                _send(one, line)
+            for number, _ in poll.poll(10):
+                if not _answered(asking[number]):
+                    poll.unregister(number)
+                    asking.pop(number).close()
+                else:
+                    _send(asking[number], line)
+            yield
+
+
+@contextlib.contextmanager
+def _closing(held: Callable[[], Iterable[socket.socket]]) -> Iterator[None]:
+    """Close those that are held at the end."""
+    try:
         yield
+    finally:
+        for one in held():
+            one.close()
 
 
 def _connected(path: Path) -> socket.socket | None:

@@ -5,6 +5,7 @@ import json
 import math
 import socket
 import struct
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -18,6 +19,10 @@ Answer = dict[str, Any]
 _LONGEST_TICK_S = 0.1
 _PARTING_S = 1.0
 _READING = frozenset({"status", "watch", "recording"})
+_REPEATED = frozenset({"stop", "disarm"})
+"""Asked for again where the connection ends without an answer: asked twice they do no more than once."""
+_WITHOUT_ANSWER = frozenset({"too_many_clients", "connection_lost"})
+_PAUSE_S = 0.002
 _OF_ALL = frozenset({"release", "take", "reload"})
 BAD_USAGE = frozenset({"bad_request", "position_limit", "velocity_limit", "which_axis"})
 """Refusals for which the request alone is to blame, whatever the axis does."""
@@ -34,14 +39,31 @@ class Client:
         Longest wait for an answer.
     axis
         Name of the axis that the requests concern, if they name one.
+
+    Attributes
+    ----------
+    repeated
+        How often a `stop` or a `disarm` was asked for again, over a connection anew.
     """
 
     def __init__(self, path: Path, timeout_s: float = 5.0, axis: str | None = None) -> None:
         self.path = path
         self._named = {} if axis is None else {"axis": axis}
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._timeout_s = timeout_s
         self._has_commanded = False
+        self.repeated = 0
+        self._open(timeout_s)
+
+    def _open(self, timeout_s: float) -> None:
+        """Connect within a time.
+
+        Raises
+        ------
+        CommandError
+            If nobody answers there, or who does is not to be trusted.
+        """
+        path = self.path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             _connect(self._socket, path, timeout_s)
         except OSError as error:
@@ -85,7 +107,7 @@ class Client:
         self._socket.close()
 
     def request(self, **fields: Any) -> Answer:
-        """Send one request and return its answer.
+        """Send one request and return its answer. A `stop` or `disarm` whose connection ends is asked for again.
 
         Raises
         ------
@@ -95,6 +117,30 @@ class Client:
         self._has_commanded = self._has_commanded or fields.get("op") not in _READING
         if fields["op"] not in _OF_ALL:
             fields |= self._named
+        end_s = time.monotonic() + self._timeout_s
+        while True:
+            try:
+                return self._ask(fields)
+            except CommandError as error:
+                if fields["op"] not in _REPEATED or error.code not in _WITHOUT_ANSWER:
+                    raise
+                self._connect_again(end_s, error)
+
+    def _connect_again(self, end_s: float, why: CommandError) -> None:
+        """Connect anew before a time; raise what made it necessary where that is not possible."""
+        self.close()
+        time.sleep(_PAUSE_S)
+        left_s = end_s - time.monotonic()
+        if left_s <= 0.0:
+            raise why
+        try:
+            self._open(left_s)
+        except CommandError as error:
+            raise why from error
+        self._socket.settimeout(self._timeout_s)
+        self.repeated += 1
+
+    def _ask(self, fields: Answer) -> Answer:
         try:
             self._socket.sendall(json.dumps(fields, allow_nan=False).encode() + b"\n")
         except ValueError as error:

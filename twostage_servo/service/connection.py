@@ -41,8 +41,10 @@ class Connection:
 
     Attributes
     ----------
+    descriptor
+        Of its socket.
     peer
-        Process and user at the other end, as the kernel tells them, and the number.
+        Process and user at the other end, as the kernel tells them, and the number; empty before it is identified.
     arrived_after_s
         The newest bytes that were read came after this time, on the clock of `age`.
     ended
@@ -65,7 +67,8 @@ class Connection:
 
     def __init__(self, stream: socket.socket, number: int, longest: int, age: "RequestAge", empty_s: float) -> None:
         self._stream = stream
-        self._descriptor = stream.fileno()  # the loop's own look at a socket costs more than this
+        self._number = number
+        self.descriptor = stream.fileno()  # the loop's own look at a socket costs more than this
         self._longest = longest
         self._age = age
         self._empty_s = self.arrived_after_s = empty_s
@@ -74,17 +77,19 @@ class Connection:
         self._broken = False
         self._readers: set[asyncio.Future[None]] = set()  # those who wait for something to read
         self._takers: set[asyncio.Future[None]] = set()  # those who wait until all is taken
-        self._hangup = select.poll()
-        self._hangup.register(stream, 0)  # POLLHUP and POLLERR come unasked
         self.ended = self.closed = self.busy = False
         self.every = self.due = self.unsent = 0
         self.read_s = -math.inf
         self.axis: str | None = None
         self.urgent: Request | None = None
         self.task: asyncio.Task[None] | None = None
-        credentials = stream.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        self.peer = ""
+
+    def identify(self) -> None:
+        """Ask the kernel who is at the other end; one that leaves without a request is not worth it."""
+        credentials = self._stream.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         process, user, _ = _CREDENTIALS.unpack(credentials)
-        self.peer = f"pid {process} uid {user} #{number}"
+        self.peer = f"pid {process} uid {user} #{self._number}"
 
     # Reading ---------------------------------------------------------------------------------------------------------
 
@@ -104,6 +109,25 @@ class Connection:
         self._incoming = rest
         return bytes(line)
 
+    def next_line_names(self, words: tuple[bytes, ...], longest: int) -> bool:
+        """Return whether the next line is no longer than so many bytes, and has one of these words in it."""
+        end = self._incoming.find(b"\n", 0, longest)
+        end = len(self._incoming) if end < 0 else end
+        return end < longest and any(self._incoming.find(word, 0, end) >= 0 for word in words)
+
+    def drop_lines_without(self, words: tuple[bytes, ...]) -> bool:
+        """Forget the lines before the first that has one of these words in it; return whether there is none such."""
+        places = [place for word in words if (place := self._incoming.find(word)) >= 0]
+        if not places and self.ended:
+            self._incoming.clear()
+        else:
+            del self._incoming[: self._incoming.rfind(b"\n", 0, min(places, default=len(self._incoming))) + 1]
+        return not places
+
+    def was_empty(self, at_s: float) -> None:
+        """Note that nothing could be read from it at a time, s."""
+        self._empty_s = max(self._empty_s, at_s)
+
     def end(self) -> None:
         """Read no more from it, and forget what was read."""
         self._incoming.clear()
@@ -120,12 +144,16 @@ class Connection:
             return
         except OSError:
             self._broken = self.ended = True
+            for future in self._readers:
+                wake(future)
             return
         self._incoming += data
         self.arrived_after_s = self._empty_s
         if len(data) < wanted:
             self._empty_s = now_s
         self.ended = not data
+        for future in self._readers:  # where it was not they who read
+            wake(future)
 
     async def readable(self) -> None:
         """Wait until there is something to read, or the end.
@@ -139,12 +167,12 @@ class Connection:
             raise ConnectionClosedError(_CLOSED)
         loop, watched_since_s = asyncio.get_running_loop(), self._age.now_s()
         future = loop.create_future()
-        loop.add_reader(self._descriptor, wake, future)
+        loop.add_reader(self.descriptor, wake, future)
         try:
             await _among(self._readers, future)
         finally:
             if not self.closed:
-                loop.remove_reader(self._descriptor)
+                loop.remove_reader(self.descriptor)
         noticed_s = self._age.noticed_s(watched_since_s)
         if noticed_s is not None:
             self._empty_s = max(self._empty_s, noticed_s)
@@ -152,7 +180,11 @@ class Connection:
     @property
     def gone(self) -> bool:
         """Whether nobody is there any more: the other side has closed both directions."""
-        return self._broken or self.closed or bool(self._hangup.poll(0))
+        if self._broken or self.closed:
+            return True
+        hangup = select.poll()
+        hangup.register(self.descriptor, 0)  # POLLHUP and POLLERR come unasked
+        return bool(hangup.poll(0))
 
     # Writing ---------------------------------------------------------------------------------------------------------
 
@@ -194,8 +226,8 @@ class Connection:
             return
         self.closed = True
         loop = asyncio.get_running_loop()
-        loop.remove_reader(self._descriptor)
-        loop.remove_writer(self._descriptor)
+        loop.remove_reader(self.descriptor)
+        loop.remove_writer(self.descriptor)
         self._outgoing.clear()
         for future in self._readers | self._takers:
             if not future.done():
@@ -215,7 +247,7 @@ class Connection:
             try:
                 sent = self._stream.send(data)
             except BlockingIOError:
-                asyncio.get_running_loop().add_writer(self._descriptor, self._flush)
+                asyncio.get_running_loop().add_writer(self.descriptor, self._flush)
                 return
             except OSError:
                 self._broken = True
@@ -225,7 +257,7 @@ class Connection:
                 self._outgoing[0] = data[sent:]
             else:
                 self._outgoing.popleft()
-        asyncio.get_running_loop().remove_writer(self._descriptor)
+        asyncio.get_running_loop().remove_writer(self.descriptor)
         for future in self._takers:
             wake(future)
 

@@ -8,7 +8,9 @@ Nor do idle clients keep anybody from `stop`: of too many, the one that has been
 import asyncio
 import contextlib
 import errno
+import functools
 import itertools
+import math
 import socket
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -20,9 +22,18 @@ import structlog
 from twostage_servo.service import answers
 from twostage_servo.service.connection import Connection, wake
 from twostage_servo.service.connections import MOST, Connections
+from twostage_servo.service.newcomers import Newcomers
 from twostage_servo.service.request_age import RequestAge, no_time_asleep
 from twostage_servo.service.request_handler import RequestHandler
-from twostage_servo.service.request_reading import BadRequestError, longest_line, parse_request, rank_of
+from twostage_servo.service.request_reading import (
+    COMMAND_WORDS,
+    LONGEST_URGENT,
+    URGENT_WORDS,
+    BadRequestError,
+    longest_line,
+    parse_request,
+    rank_of,
+)
 from twostage_servo.service.requests import Request, WatchRequest
 from twostage_servo.service.socket_file import SocketFile, SocketInUseError
 from twostage_servo.service.status_lines import StatusLines
@@ -45,10 +56,22 @@ _LINGER_S: Final = 1.0
 _SILENT_TICKS: Final = 10
 """Ticks without a request after which a client is no flood."""
 _NO_ROOM: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
-_TOO_MANY: Final = (
+_TOO_MANY: Final = answers.failure(
+    "too_many_clients",
     f"{MOST} clients are the most, and this one was idle the longest. Connect again; "
-    "`ss -xp` shows which processes hold the others"
+    "`ss -xp` shows which processes hold the others",
 )
+_NO_PLACE: Final = answers.failure(
+    "too_many_clients",
+    f"{MOST} clients are the most, and too many others wait for a place. Connect again; "
+    "`ss -xp` shows which processes hold the others",
+)
+_MOST_DROPPED: Final = 64
+"""Reads of a client that has gone in one turn, however little time they seem to take."""
+_LOOKS: Final = 4
+"""Idle clients that are looked at again before one of them has to go: it may have asked for something just now."""
+_BETWEEN_REPORTS_S: Final = 1.0
+"""Time between two lines of the log about newcomers that were turned away."""
 
 
 class ControlSocket:
@@ -72,6 +95,9 @@ class ControlSocket:
         self._status = StatusLines(service)
         self._handler = RequestHandler(service, self._status, self._age)
         self._connections = Connections()
+        self._newcomers: Newcomers | None = None
+        self._turned_away = 0
+        self._next_report_s = -math.inf
         self._watchers = Watchers(self._connections, self._status, service.turns)
         self._longest = longest_line(station.name for station in service.stations)
         self._numbers = itertools.count(1)
@@ -92,9 +118,12 @@ class ControlSocket:
             If the path cannot be used.
         """
         listener = self._file.bind()
-        listening = self._listen(listener)
-        keeping = self._file.keep(lambda: self._turns.turn(Rank.CONNECTION), self._listen, listening, listener)
-        self._working = [asyncio.create_task(keeping), asyncio.create_task(self._watch())]
+        newcomers = self._newcomers = Newcomers(self._age)
+        listen = functools.partial(self._listen, newcomers)
+        listening = listen(listener)
+        keeping = self._file.keep(lambda: self._turns.turn(Rank.CONNECTION), listen, listening, listener)
+        serving = (keeping, self._watch(), self._hear_out(newcomers), self._let_wait(newcomers))
+        self._working = [asyncio.create_task(one) for one in serving]
 
     async def stop(self) -> None:
         """Stop listening, end all connections, remove the socket; waits for no client."""
@@ -105,10 +134,13 @@ class ControlSocket:
         await asyncio.gather(*tasks, return_exceptions=True)
         for connection in self._connections:  # of a task that had not even begun
             self._end(connection)
+        if self._newcomers is not None:
+            self._newcomers.close()
+            self._newcomers = None
         self._working = []
 
-    def _listen(self, listener: socket.socket) -> "asyncio.Task[None]":
-        task = asyncio.create_task(self._let_in(listener))
+    def _listen(self, newcomers: Newcomers, listener: socket.socket) -> "asyncio.Task[None]":
+        task = asyncio.create_task(self._let_in(newcomers, listener))
         self._listening.add(task)
         task.add_done_callback(self._listening.discard)
         task.add_done_callback(lambda _: listener.close())  # also where it has not even begun
@@ -122,38 +154,41 @@ class ControlSocket:
 
     # Who comes, and who goes -----------------------------------------------------------------------------------------
 
-    async def _let_in(self, listener: socket.socket) -> None:
+    async def _let_in(self, newcomers: Newcomers, listener: socket.socket) -> None:
         """Let clients in, in turns; the kernel keeps the others waiting."""
         with listener:
             door = _Door(listener, self._age)
             while True:
+                await newcomers.room()
                 await door.somebody()
                 try:
                     async with self._turns.turn(Rank.CONNECTION):
-                        self._let_some_in(door)
+                        self._let_some_in(newcomers, door)
                 except Exception as error:  # noqa: BLE001 - no descriptor is left, or a defect: nobody is shut out for good
                     self._log.warning("no client can be let in", error=repr(error), retry_s=_PAUSE_S)
                     await asyncio.sleep(_PAUSE_S)
                 await asyncio.sleep(0)
 
-    def _let_some_in(self, door: "_Door") -> None:
+    def _let_some_in(self, newcomers: Newcomers, door: "_Door") -> None:
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._turns.slice_s
         for _ in range(_MOST_A_TURN):
+            if newcomers.pause_s() > 0.0:
+                return
             try:
                 accepted = door.accept()
             except OSError as error:
-                if error.errno not in _NO_ROOM or not self._make_room():
+                if error.errno not in _NO_ROOM or not (self._shed_silent(newcomers) or self._make_room()):
                     raise
                 return
             if accepted is None:
                 return
-            self._begin(*accepted)
+            self._begin(newcomers, *accepted)
             if clock() >= until_s:
                 return
 
-    def _begin(self, stream: socket.socket, empty_s: float) -> None:
-        """Begin with a client; one that has come and gone costs no more than this."""
+    def _begin(self, newcomers: Newcomers, stream: socket.socket, empty_s: float) -> None:
+        """Begin with a client; one that has come and gone, or has nothing to say yet, costs no more than this."""
         try:
             stream.setblocking(False)
             connection = Connection(stream, next(self._numbers), self._longest, self._age, empty_s)
@@ -161,27 +196,132 @@ class ControlSocket:
             stream.close()
             raise
         connection.receive()  # most have said what they want by now
-        if connection.ended and not connection.has_line:
+        if connection.ended or connection.has_line:
+            self._arrive(newcomers, connection)
+            return
+        if newcomers.is_silent_full:
+            self._shed_silent(newcomers)
+        newcomers.add_silent(connection)
+
+    async def _hear_out(self, newcomers: Newcomers) -> None:
+        """Read the first request of each who had none when he was let in."""
+        while True:
+            await newcomers.somebody_speaks()
+            async with self._turns.turn(Rank.CONNECTION):
+                self._hear_some_out(newcomers)
+            await asyncio.sleep(0)
+
+    def _hear_some_out(self, newcomers: Newcomers) -> None:
+        clock = asyncio.get_running_loop().time
+        until_s = clock() + self._turns.slice_s
+        for connection in newcomers.speaking(_MOST_A_TURN):
+            connection.receive()
+            if connection.ended or connection.has_line:
+                newcomers.remove_silent(connection)
+                self._arrive(newcomers, connection)
+            if clock() >= until_s:
+                return
+
+    def _arrive(self, newcomers: Newcomers, connection: Connection) -> None:
+        """Serve a client that has said something. Where all places are taken only what is urgent goes before others."""
+        if not connection.has_line:
             connection.close()
             return
+        request = None
+        if connection.next_line_names(URGENT_WORDS, LONGEST_URGENT):
+            connection.identify()
+            request = self._read(connection)
+        if not self._connections.full or connection.urgent is not None:
+            self._admit(connection, request)
+        elif newcomers.is_waiting_full:
+            self._turn_away(connection)
+        else:
+            newcomers.add_waiting(connection, request)
+
+    async def _let_wait(self, newcomers: Newcomers) -> None:
+        """Find a place for each who waits for one."""
+        while True:
+            await newcomers.somebody_waits()
+            async with self._turns.turn(Rank.CONNECTION):
+                self._admit_some(newcomers)
+            await asyncio.sleep(0)
+
+    def _admit_some(self, newcomers: Newcomers) -> None:
+        clock = asyncio.get_running_loop().time
+        until_s = clock() + self._turns.slice_s
+        for _ in range(_MOST_A_TURN):
+            waiting = newcomers.next_waiting()
+            if waiting is None:
+                return
+            self._admit(*waiting)
+            if clock() >= until_s:
+                return
+
+    def _admit(self, connection: Connection, request: Request | None) -> None:
+        """Let a client be one of those that are served, with its first request if that was read already."""
+        connection.identify()
         if self._connections.full:
             self._make_room()
         self._connections.add(connection)
-        first = self._read(connection) if connection.has_line else None
-        connection.task = task = asyncio.create_task(self._serve(connection, first))
+        if request is None and connection.has_line:
+            request = self._read(connection)
+        connection.task = task = asyncio.create_task(self._serve(connection, request))
         self._serving.add(task)
         task.add_done_callback(self._serving.discard)
 
+    # Who goes --------------------------------------------------------------------------------------------------------
+
+    def _shed_silent(self, newcomers: Newcomers) -> bool:
+        """End the newcomer that has been silent the longest, unless he speaks now; return whether there was one."""
+        connection = newcomers.oldest_silent()
+        if connection is None:
+            return False
+        newcomers.remove_silent(connection)
+        connection.receive()
+        if connection.ended or connection.has_line:
+            self._arrive(newcomers, connection)
+        else:
+            self._turn_away(connection)
+        return True
+
+    def _turn_away(self, connection: Connection) -> None:
+        """End a newcomer. The log tells of many at once: a line for each would cost more than all the rest."""
+        self._turned_away += 1
+        now_s = asyncio.get_running_loop().time()
+        if now_s >= self._next_report_s:
+            connection.identify()
+            newest, number = connection.peer, self._turned_away
+            self._log.warning("newcomers were turned away: all places are taken", newest=newest, number=number)
+            self._turned_away, self._next_report_s = 0, now_s + _BETWEEN_REPORTS_S
+        connection.write(_NO_PLACE)
+        connection.close()
+
+    def _least(self) -> Connection | None:
+        """Return the connection that matters least, and has not asked for anything just now either."""
+        connection = None
+        for _ in range(_LOOKS):
+            connection = self._connections.the_one_to_go(self._service.desk.lease.holder)
+            if connection is None or connection.busy or connection.ended or connection.urgent is not None:
+                break
+            if not connection.has_line:
+                connection.receive()
+            if not connection.has_line:
+                break
+            self._connections.touch(connection)
+        return connection
+
     def _make_room(self) -> bool:
         """End the connection that matters least; return whether there was one that may be ended."""
-        connection = self._connections.the_one_to_go(self._service.desk.lease.holder)
+        connection = self._least()
         if connection is None:
             return False
         self._log.warning("a client had to make room", peer=connection.peer, clients=len(self._connections))
+        if connection.urgent is None and connection.next_line_names(URGENT_WORDS, LONGEST_URGENT):
+            self._read(connection)
         if connection.urgent is not None:  # it shall be carried out, and nobody waits for its answer
             self._handler.answer(connection.urgent, connection)
         if not connection.busy:
-            connection.write(answers.failure("too_many_clients", _TOO_MANY))
+            connection.write(_TOO_MANY)
         self._end(connection)
         if connection.task is not None:
             connection.task.cancel()
@@ -245,7 +385,7 @@ class ControlSocket:
             connection.write(answers.failure("bad_request", text))
             connection.end()
             return None
-        if not connection.has_line:
+        if not connection.has_line or (connection.gone and self._drop_readings(connection)):
             return None
         self._connections.touch(connection)
         try:
@@ -256,6 +396,18 @@ class ControlSocket:
         if rank_of(request) is Rank.URGENT:
             connection.urgent = request
         return request
+
+    def _drop_readings(self, connection: Connection) -> bool:
+        """Forget what a client that has gone only wanted to know; return whether no other line is left for now."""
+        clock = asyncio.get_running_loop().time
+        until_s = clock() + self._turns.slice_s
+        for _ in range(_MOST_DROPPED):
+            if not connection.drop_lines_without(COMMAND_WORDS) and connection.has_line:
+                return False
+            if connection.ended or clock() >= until_s:
+                break
+            connection.receive()
+        return not connection.has_line
 
     async def _answer(self, connection: Connection, request: Request) -> None:
         """Carry a request out and answer it, in a turn for each piece of work: a tick may come between."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from twostage_servo.service.requests import DisarmRequest, Request, StopRequest
+from twostage_servo.service.requests import READING, DisarmRequest, Request, StopRequest
 from twostage_servo.service.turns import Rank
 
 if TYPE_CHECKING:
@@ -26,6 +26,14 @@ _MOST_POSITIONS: Final = 64
 _MODELS: Final[dict[str, "type[AxisRequest]"]] = {
     typing.get_args(model.model_fields["op"].annotation)[0]: model for model in typing.get_args(Request)
 }
+_ESCAPE: Final = b"\\"
+"""What begins an escape: a word written with it is not found as such."""
+URGENT_WORDS: Final = (b"stop", b"disarm", _ESCAPE)
+"""A line without any of these asks for nothing urgent."""
+COMMAND_WORDS: Final = (_ESCAPE, *(op.encode() for op, model in _MODELS.items() if model not in READING))
+"""A line without any of these commands nothing."""
+LONGEST_URGENT: Final = 512
+"""Bytes of a first request that is looked at for being urgent before its turn comes."""
 
 
 class BadRequestError(ValueError):
