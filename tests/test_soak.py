@@ -143,6 +143,16 @@ def drive(seed: int = 1) -> DriveModel:
     return DriveModel(design(load(None)), 0.001, 0.0, None, Random(seed))  # noqa: S311 - a test, no secret
 
 
+def test_what_a_mended_encoder_counts_is_reported_next() -> None:
+    mended = drive()
+    mended.encoder.fail(0.0, 0.0)
+    mended.place(5.0)
+    mended.mend_encoder(absolute=True)
+    report = mended.feedback(1)
+    assert report is not None
+    assert report.position == pytest.approx(5.0)
+
+
 def test_a_drive_that_is_stuck_keeps_its_effort_when_it_is_told_to_disable() -> None:
     stuck = drive()
     stuck.obey(Command(2.0, enable=True), 1)

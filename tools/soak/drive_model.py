@@ -128,6 +128,14 @@ class DriveModel:
         self.position, self.velocity = position, 0.0
         self._sample = self.encoder.count(position)
 
+    def mend_encoder(self, *, absolute: bool) -> None:
+        """Let the encoder count rightly again, from the sample on that is reported next; see :class:`EncoderModel`.
+
+        Who says where the axis is takes a report for the present one: the count must not change behind it.
+        """
+        self.encoder.mend(self.position, absolute=absolute)
+        self._sample = self.encoder.count(self.position)
+
     def feedback(self, tick: int) -> Feedback | None:
         """Return what it reports in a tick; None while it is silent."""
         if tick < self.silent_until:

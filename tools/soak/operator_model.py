@@ -60,7 +60,7 @@ class OperatorModel:
 
     def mend_encoder(self) -> None:
         """Mend the encoder of an axis that is disarmed; what it counts from then on may be off."""
-        self._drive.encoder.mend(self._drive.position, absolute=self._random.random() < 0.5)
+        self._drive.mend_encoder(absolute=self._random.random() < 0.5)
         self._watch.mended()
 
     # Disarmed --------------------------------------------------------------------------------------------------------
