@@ -21,8 +21,14 @@ settings.register_profile(
 settings.load_profile("twostage-servo")
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Let the tests that start processes run one after another where the tests run on several cores."""
+    """Let the tests that start processes run one after another where the tests run on several cores.
+
+    And on one of them alone those that look at one and the same run of the paper's examples.
+    """
     for item in items:
         if item.get_closest_marker("processes") is not None:
             item.add_marker(pytest.mark.xdist_group("processes"))
+        elif item.path.name == "test_paper.py":
+            item.add_marker(pytest.mark.xdist_group("paper"))

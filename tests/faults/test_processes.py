@@ -117,6 +117,11 @@ def test_the_verdict_can_fail(cells: dict[int, Cell]) -> None:
     assert "the drive is still enabled" in cell.wrong
 
 
+def test_on_several_cores_these_tests_share_one(request: pytest.FixtureRequest) -> None:
+    if request.config.getoption("loadgroup", default=False):
+        assert request.node.nodeid.endswith("@processes")
+
+
 def test_every_fault_has_its_phases() -> None:
     every = hosted_cells(Phase)
     assert len(every) == len(set(every)) == 25

@@ -204,6 +204,7 @@ def test_what_a_library_logs_is_one_kind_a_library() -> None:
 
 
 def test_a_log_within_a_log_gives_the_outer_one_back() -> None:
+    structlog.reset_defaults()  # other tests of this process may have had a log of their own
     outer_stream, inner_stream = io.StringIO(), io.StringIO()
     outer = open_log("info", outer_stream)
     inner = open_log("critical", inner_stream)
