@@ -63,7 +63,7 @@ def test_what_the_corrections_do_in_a_tick_is_in_the_estimate() -> None:
     observer.position, observer.velocity, observer.disturbance = 10.0, 50.0, 1.0
     for _ in range(60):
         observer.update(observer.position - 0.1, 3.0)
-        braking.note(observer, 3.0, corrected=True)
+        braking.note(observer, 3.0, corrected=True, sure=True)
     position, velocity, disturbance = observer.position, observer.velocity, observer.disturbance
     observer.update(position - 0.1, 3.0)
     corrected = observer.position - position
@@ -80,7 +80,7 @@ def test_a_model_that_is_right_brakes_on_its_own_estimate() -> None:
     observer.velocity = 50.0
     for _ in range(20):
         observer.predict(2.0)
-        braking.note(observer, 2.0, corrected=True)
+        braking.note(observer, 2.0, corrected=True, sure=True)
     before = observer.velocity, observer.disturbance
     braking.apply(observer, in_doubt=False)
     assert (observer.velocity, observer.disturbance) == before
@@ -94,12 +94,12 @@ def test_samples_in_doubt_are_left_out_of_it() -> None:
     observer.velocity = 50.0
     for _ in range(20):
         observer.predict(5.0)
-        braking.note(observer, 5.0, corrected=True)
+        braking.note(observer, 5.0, corrected=True, sure=True)
     wanted = EXAMPLE_2.build_law().observer
     wanted.continue_from(observer)
     for _ in range(3):
         observer.update(observer.position - 2.0, 5.0)  # an encoder that stands still, say
-        braking.note(observer, 5.0, corrected=True)
+        braking.note(observer, 5.0, corrected=True, sure=False)
         wanted.predict(5.0)
     assert abs(observer.velocity - wanted.velocity) > 10.0
     braking.apply(observer, in_doubt=True)

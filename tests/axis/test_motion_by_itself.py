@@ -346,7 +346,8 @@ def test_the_model_is_judged_by_the_speed_of_late_which_fades_in_5_s() -> None:
     bench = Bench(0.0).holding()
     test: Any = bench.motion.model_test
     bench.motion.model_test = SimpleNamespace(  # type: ignore[assignment]
-        update=lambda sample, effort, _, limit: told.append((sample, effort, limit)),
+        update=lambda sample, effort, _, speed, lag_s: told.append((sample, effort, speed)),
+        is_sure=True,
         predict=predicted.append,
         start=test.start,
     )

@@ -132,7 +132,7 @@ def test_what_makes_a_change_certain(ticks: int, accepted: float, own: float, ba
     test.start(at_rest(100.0))
     change = changed(test, -1.0)
     change.ticks, change.accepted_sum, change.own_sum = ticks, accepted, own  # type: ignore[attr-defined]
-    assert change.is_certain(0.125, background) is certain  # type: ignore[attr-defined]
+    assert change.is_certain(0.125, background, 0.0) is certain  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(("velocity", "certain"), [(3.3, False), (3.4, True)])
@@ -142,7 +142,7 @@ def test_a_change_has_to_show_in_its_first_sample(velocity: float, certain: bool
     test.start(at_rest(velocity))
     change = changed(test, -1.0)
     change.ticks, change.accepted_sum = 3, 1.0  # type: ignore[attr-defined]
-    assert change.is_certain(0.125, 1.0) is certain  # type: ignore[attr-defined]
+    assert change.is_certain(0.125, 1.0, 0.0) is certain  # type: ignore[attr-defined]
 
 
 def test_a_change_is_expected_anew_where_it_explains_no_more_than_an_accepted_plant() -> None:

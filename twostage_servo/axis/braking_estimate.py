@@ -5,20 +5,15 @@ for in each tick: a standing innovation. As soon as nothing corrects it any more
 wrong speed would count in full. So what the corrections do in a tick is taken into the estimate itself.
 """
 
-from collections import deque
-
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.control.observer import DisturbanceObserver
 
 _SHARE = 0.2
 """Share of the present innovation in the standing one: a mean over some five ticks."""
 
-_DOUBTED_TICKS = 10
-"""How far back an estimate lies that samples in doubt have not touched."""
-
 
 class BrakingEstimate:
-    """Follows the standing innovation, and remembers what the estimate was a while ago.
+    """Follows the standing innovation, and runs the model on from the last estimate without a sample in doubt.
 
     Parameters
     ----------
@@ -26,20 +21,20 @@ class BrakingEstimate:
         The axis.
     """
 
-    __slots__ = ("_gain1", "_gain2", "_past", "_plant", "_standing")
+    __slots__ = ("_disturbance", "_effort", "_gain1", "_gain2", "_plant", "_standing", "_velocity")
 
     def __init__(self, design: AxisDesign) -> None:
         self._plant = design.plant
         self._gain1, self._gain2, _ = design.kalman.predictor
         self._standing = 0.0  # in axis unit
-        self._past: deque[tuple[float, float, float]] = deque(maxlen=_DOUBTED_TICKS)
+        self._velocity = self._disturbance = self._effort = 0.0  # of the model that runs on
 
-    def start(self) -> None:
-        """Begin afresh."""
+    def start(self, observer: DisturbanceObserver, effort: float) -> None:
+        """Begin afresh from an estimate, and the effort (effort unit) that acts."""
         self._standing = 0.0
-        self._past.clear()
+        self._velocity, self._disturbance, self._effort = observer.velocity, observer.disturbance, effort
 
-    def note(self, observer: DisturbanceObserver, effort: float, *, corrected: bool) -> None:
+    def note(self, observer: DisturbanceObserver, effort: float, *, corrected: bool, sure: bool) -> None:
         """Account for a tick.
 
         Parameters
@@ -50,10 +45,17 @@ class BrakingEstimate:
             The effort that acts from here on, in effort unit.
         corrected
             Whether a sample has corrected it.
+        sure
+            Whether that sample was one that an accepted plant would show.
         """
         if corrected:
             self._standing += _SHARE * (observer.innovation - self._standing)
-        self._past.append((*self._without_corrections(observer), effort))
+        if sure:
+            self._velocity, self._disturbance = self._without_corrections(observer)
+        else:
+            plant = self._plant
+            self._velocity = plant.a22 * self._velocity + plant.b2 * (self._effort + self._disturbance)
+        self._effort = effort
 
     def apply(self, observer: DisturbanceObserver, *, in_doubt: bool) -> None:
         """Take into the estimate what its corrections made up for.
@@ -65,12 +67,9 @@ class BrakingEstimate:
         in_doubt
             Whether the last samples are: then the model goes on from what was known before them.
         """
-        if in_doubt and len(self._past) == _DOUBTED_TICKS:
-            (velocity, disturbance, _), plant = self._past[0], self._plant
-            for *_, effort in list(self._past)[:-1]:
-                velocity = plant.a22 * velocity + plant.b2 * (effort + disturbance)
-            observer.velocity, observer.disturbance = velocity, disturbance
-        elif not in_doubt:
+        if in_doubt:
+            observer.velocity, observer.disturbance = self._velocity, self._disturbance
+        else:
             observer.velocity, observer.disturbance = self._without_corrections(observer)
         self._standing = 0.0
 

@@ -77,6 +77,8 @@ class Motion:
         self._missed = 0
         self._path: list[float] = []  # the estimate before the ticks that were missed just now, and after each of them
         self._skipped = 0  # ticks missed since the last sample that was not from before them
+        self._effort_limit = self._limits.effort
+        self._lag_s = 0.0  # how much older than usual this tick's sample is, where it is less than a period
         self._lag_periods = 0  # how much older than usual this tick's sample is
         self._samples_tracked = 0
         self._tracked = 0.0  # the last sample while tracking
@@ -100,11 +102,11 @@ class Motion:
         self.nominal.continue_from(self.law)
         self.model_test.start(self.law.observer, effort)
         self._gap.close()
-        self._braking.start()
+        self._braking.start(self.law.observer, effort)
         self._skipped = 0
         self._shown = self._stands_at = None
         self._stands = False
-        self.law.effort_limit = self._limits.effort
+        self.limit_effort(self._limits.effort)
         self._speed_of_late = 0.0
         self._was_outlier = False
         self.blind = False
@@ -112,6 +114,10 @@ class Motion:
         self.unchanged_effort = 0.0
         self._unchanged = None
         self._recent.clear()
+
+    def limit_effort(self, limit: float) -> None:
+        """Hold the magnitude of the effort to a limit, in effort unit."""
+        self._effort_limit = self.law.effort_limit = limit
 
     def set_target(self, target: float, velocity: float) -> None:
         """Take a set-point in axis unit, with a cruise velocity in axis unit/s."""
@@ -187,10 +193,16 @@ class Motion:
             self._skipped = 0
             # By the speed of the whole move: what a wrong pole does shows while the axis slows down.
             self._speed_of_late = max(_FADING * self._speed_of_late, abs(self.law.observer.velocity))
-            self.model_test.update(sample, before, self.law.observer, self._speed_of_late)
+            shown = self._drive.position
+            assert shown is not None  # noqa: S101 - the sample is made from it
+            self.model_test.update(shown, before, self.law.observer, self._speed_of_late, self._lag_s)
         if sample is not None:
             self._compare_with_the_last()
-        self._braking.note(self.law.observer, self._effort, corrected=sample is not None and not lag)
+            self._limit_effort_against_a_jam()
+        corrected = sample is not None and not lag
+        self._braking.note(
+            self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_test.is_sure
+        )
         return self._effort
 
     def track(self) -> None:
@@ -277,6 +289,12 @@ class Motion:
         observer = self.law.observer
         return math.isfinite(self.law.effort + observer.position + observer.velocity + observer.disturbance)
 
+    def _limit_effort_against_a_jam(self) -> None:
+        """Let the effort against what may hold the axis not rise beyond the jam effort, once it has got there."""
+        jammed = self.unchanged_effort >= self._limits.jam_effort and self._effort_limit == self._limits.effort
+        most = max(abs(self._effort), self._limits.jam_effort)
+        self.law.effort_limit = min(self._effort_limit, most) if jammed else self._effort_limit
+
     def _gate(self, velocity: float) -> float:
         return self._limits.innovation + 1e-3 * self._limits.innovation_time_ms * abs(velocity)
 
@@ -309,7 +327,7 @@ class Motion:
     def _dated_sample(self) -> float | None:
         """Return this tick's sample as it was at the last command, which is when the observer wants it."""
         drive = self._drive
-        self._lag_periods = 0
+        self._lag_periods, self._lag_s = 0, 0.0
         if not drive.fresh or drive.position is None:
             return None
         if drive.age_s is None:
@@ -317,7 +335,8 @@ class Motion:
             return None if self._missed else drive.position
         lag = drive.age_s / self._period_s - 1.0
         if not self._missed or lag <= 0.5:
-            return drive.position + self.law.observer.velocity * self._period_s * lag
+            self._lag_s = self._period_s * lag
+            return drive.position + self.law.observer.velocity * self._lag_s
         self._lag_periods = min(round(lag), len(self._path) - 1)
         return drive.position + self.law.observer.position - self._estimate_before(lag)
 

@@ -49,7 +49,11 @@ EVIDENCE: Final = (8.0, 5.0, 5.0)
 """How many times smaller the sum of squares of each of them has to be than that of the best accepted plant."""
 
 CHANGE_EVIDENCE: Final = 50.0
-"""The same for a change: a rebound from a collision would have to have 0.7 to 1.3 times the speed before."""
+"""The same for a change, of what the noise does not explain: a rebound from a collision would have to have 0.7 to 1.3
+times the speed before."""
+
+CHANGE_RATIO: Final = 8.0
+"""The same with the noise."""
 
 CHANGE_TICKS: Final = 3
 """Samples that a change has to explain: a spike is one, and comes back with the next."""
@@ -66,6 +70,10 @@ NOISE_SHARE: Final = 1.25
 
 DATE_SHARE: Final = 0.25
 """What is added to it for each axis unit/s of speed, as a share of the time by which dates of samples may be off."""
+
+NOISE_MEMORY: Final = 0.01
+"""Share of a sample in the noise that is measured, as half the squared difference of two innovations: what is white
+differs from one to the next, what the model does not explain does not."""
 
 JUMP_SHARE: Final = 0.5
 """Share of that surprise which a change has to make in its first sample. For an encoder that stands still twice as
@@ -97,17 +105,9 @@ class _Change:
     """The hypothesis that the encoder counts `factor` times as much since a tick of its own choosing."""
 
     __slots__ = (
-        "_jump_share",
-        "_least_ticks",
-        "_offset",
-        "_step",
-        "_truth",
-        "accepted_sum",
-        "factor",
-        "observer",
-        "own_sum",
-        "ticks",
-    )
+        "_jump_share", "_least_ticks", "_offset", "_step", "_truth", "accepted_sum", "factor",
+        "observer", "own_sum", "ticks",
+    )  # fmt: skip
 
     def __init__(self, factor: float, plant: Plant, period_s: float, noise: NoiseModel) -> None:
         self.factor = factor
@@ -141,10 +141,12 @@ class _Change:
         self.observer.predict(effort)
         self._truth.predict(effort)
 
-    def update(self, sample: float, effort: float, model: DisturbanceObserver, least_square: float) -> None:
+    def update(
+        self, sample: float, effort: float, model: DisturbanceObserver, least_square: float, lag_s: float
+    ) -> None:
         """Take a sample; the smallest squared innovation of the accepted plants is in (axis unit)²."""
         observer = self.observer
-        observer.update(sample, effort)
+        observer.update(sample + observer.velocity * lag_s, effort)
         self._truth.predict(effort)
         own = self.own_sum = FORGETTING * self.own_sum + observer.innovation * observer.innovation
         accepted = self.accepted_sum = FORGETTING * self.accepted_sum + least_square
@@ -152,15 +154,30 @@ class _Change:
         if accepted <= own:
             self.begin(model)
 
-    def is_certain(self, least: float, window_sum: float) -> bool:
-        """Whether nothing else explains the samples; `least` is the surprise (axis unit) that it takes."""
+    def is_certain(self, least: float, window_sum: float, noise_square: float) -> bool:
+        """Whether nothing else explains the samples.
+
+        Parameters
+        ----------
+        least
+            The surprise that it takes, in axis unit.
+        window_sum
+            The whole surprise in the window, squared.
+        noise_square
+            What a sample's noise adds to that, as it was before.
+        """
         return (
             self.ticks >= self._least_ticks
             and abs(self._offset) > self._jump_share * least
             and self.accepted_sum - self.own_sum > least * least
-            and self.accepted_sum > CHANGE_EVIDENCE * self.own_sum
+            and self.accepted_sum > CHANGE_EVIDENCE * (self.own_sum - self._noise_sum(noise_square))
+            and self.accepted_sum > CHANGE_RATIO * self.own_sum
             and self.accepted_sum > CHANGE_SHARE * window_sum
         )
+
+    def _noise_sum(self, noise_square: float) -> float:
+        """Return what the noise alone makes of the sum of squares, in (axis unit)²; a scale scales it as well."""
+        return max(1.0, self.factor * self.factor) * noise_square * (1.0 - FORGETTING**self.ticks) / (1.0 - FORGETTING)
 
     def reckon(self) -> Reckoning:
         return Reckoning(self._truth.velocity, self._truth.disturbance)
@@ -184,11 +201,13 @@ class ModelTest:
     ----------
     surprise
         Root of the sum of the smallest squared innovations of the accepted plants in the window, in axis unit.
+    is_sure
+        Whether the latest sample surprised an accepted plant by no more than the noise.
     """
 
     __slots__ = (
-        "_accepted", "_changes", "_date_share_s", "_effort_before", "_gains", "_least", "_least_at_rest", "_sum",
-        "_sums", "surprise",
+        "_accepted", "_changes", "_date_share_s", "_effort_before", "_gains", "_innovation", "_least",
+        "_least_at_rest", "_noise_square", "_sum", "_sums", "is_sure", "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
@@ -200,6 +219,8 @@ class ModelTest:
         self._changes = [_Change(factor, plant, period_s, noise) for factor in CHANGE_FACTORS]
         self._least = self._least_at_rest = NOISE_SHARE * noise.measurement_variance**0.5
         self._date_share_s = DATE_SHARE * date_error_s
+        self.is_sure = True
+        self._innovation = self._noise_square = 0.0
         self._effort_before = 0.0
         self._sums = [0.0] * len(GAIN_FACTORS)
         self._sum = 0.0
@@ -241,7 +262,9 @@ class ModelTest:
             change.predict(effort)
         self._effort_before = effort
 
-    def update(self, sample: float, effort: float, model: DisturbanceObserver, speed: float) -> None:
+    def update(
+        self, sample: float, effort: float, model: DisturbanceObserver, speed: float, lag_s: float = 0.0
+    ) -> None:
         """Take what is known of a tick.
 
         Parameters
@@ -252,10 +275,13 @@ class ModelTest:
             The model's own observer, which has taken the sample already.
         speed
             Largest speed of late, in axis unit/s: what dates are off by shows in proportion to it.
+        lag_s
+            How long before the instant of that effort the sample was taken, in s. Each hypothesis dates it by its own
+            velocity: the one that is right by the right one.
         """
         least_square = inf
         for observer, delay in self._accepted:
-            observer.update(sample, self._effort_before if delay else effort)
+            observer.update(sample + observer.velocity * lag_s, self._effort_before if delay else effort)
             square = observer.innovation * observer.innovation
             if square < least_square:  # noqa: PLR1730 - `min` takes longer, ten times a tick
                 least_square = square
@@ -265,10 +291,14 @@ class ModelTest:
         self._least = self._least_at_rest + self._date_share_s * speed
         sums = self._sums
         for index, observer in enumerate(self._gains):
-            observer.update(sample, effort)
+            observer.update(sample + observer.velocity * lag_s, effort)
             sums[index] = FORGETTING * sums[index] + observer.innovation * observer.innovation
         for change in self._changes:
-            change.update(sample, effort, model, least_square)
+            change.update(sample, effort, model, least_square, lag_s)
+        difference, self._innovation = model.innovation - self._innovation, model.innovation
+        self.is_sure = least_square <= self._least * self._least
+        if self.is_sure:
+            self._noise_square += NOISE_MEMORY * (0.5 * difference * difference - self._noise_square)
 
     @property
     def better_factor(self) -> float | None:
@@ -279,7 +309,7 @@ class ModelTest:
         if self.surprise <= self._least:
             return None
         for change in self._changes:
-            if change.is_certain(self._least, self._sum):
+            if change.is_certain(self._least, self._sum, self._noise_square):
                 return change.factor
         best = min(range(len(GAIN_FACTORS)), key=self._sums.__getitem__)
         return GAIN_FACTORS[best] if self._sum > EVIDENCE[best] * self._sums[best] else None
@@ -296,7 +326,9 @@ class ModelTest:
             :attr:`better_factor`, or 0 for an encoder that shows one and the same position.
         """
         for change in self._changes:
-            if change.factor == factor and (factor == 0.0 or change.is_certain(self._least, self._sum)):
+            if change.factor == factor and (
+                factor == 0.0 or change.is_certain(self._least, self._sum, self._noise_square)
+            ):
                 return change.reckon()
         observer = self._gains[GAIN_FACTORS.index(factor)]
         return Reckoning(observer.velocity / factor, observer.disturbance)
