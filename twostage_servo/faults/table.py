@@ -10,6 +10,7 @@ from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
 from twostage_servo.config import Config
+from twostage_servo.control.mismatch import NOISE_SHARE
 from twostage_servo.faults import bus_faults, client_faults, drive_faults, host_faults, resource_faults
 from twostage_servo.faults.budget import Budget
 from twostage_servo.faults.checks import (
@@ -308,6 +309,22 @@ def _looks_like_the_model(factor: float) -> Callable[[Config], str]:
     return limit
 
 
+_LOUD_NOISE = 0.1
+"""Share of what hides everything, from which noise hides a scale that has no cruise to show in."""
+
+
+def _hidden_by_noise(config: Config) -> str:
+    """Say where the encoder's noise hides a scale that is another one from rest on."""
+    noise = config.simulation.noise_std
+    hides = NOISE_SHARE * config.axis.observer.measurement_variance**0.5
+    if noise < _LOUD_NOISE * hides:
+        return ""
+    return (
+        f"the noise of {noise:g} {config.axis.unit} makes as much of a surprise as another scale does while the axis "
+        "sets out, and in a cruise a scale that has been there from rest on looks like a load: one encoder cannot tell"
+    )
+
+
 _LEAST_GAIN = 0.5
 """Share of its gain below which a plant is another one, which the model test tells."""
 
@@ -371,7 +388,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
           check=noticed_early, again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
     Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True,
-          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
+          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_hidden_by_noise),
     Fault(22, "scale halved", _D.scaled(0.5), QUICK, lambda budget: budget.halved_scale(), idle=QUICK, again=True,
           phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_looks_like_the_model(0.5),
           limit_bound=lambda budget: budget.hidden_scale()),
