@@ -27,7 +27,6 @@ class Bench:
             law=self.law,
             set_target=lambda target, velocity: self.asked.append((target, velocity)),
             stop=self.asked.append,
-            limit_effort=lambda limit: setattr(self.law, "effort_limit", limit),
         )
         self.drive = SimpleNamespace(
             home_switch=at_switch, index=77.0, fresh=True, position=position, forget_index=self.forget_index

@@ -72,7 +72,7 @@ class Homing:
             self._phase = _Phase.SEEK
             self._go(self._sign, settings.velocity if settings.method == "switch" else settings.slow_velocity)
         if settings.method == "hard_stop":
-            motion.limit_effort(settings.effort)
+            motion.law.effort_limit = settings.effort
 
     @staticmethod
     def first_direction(settings: HomingSettings, drive: DriveReport) -> float:
@@ -87,7 +87,7 @@ class Homing:
 
     def end(self) -> None:
         """Give the axis its own effort limit back; also after a search that was broken off."""
-        self._motion.limit_effort(self._effort_limit)
+        self._motion.law.effort_limit = self._effort_limit
 
     def step(self) -> None:
         """Look at this tick.

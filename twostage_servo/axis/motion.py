@@ -77,7 +77,6 @@ class Motion:
         self._missed = 0
         self._path: list[float] = []  # the estimate before the ticks that were missed just now, and after each of them
         self._skipped = 0  # ticks missed since the last sample that was not from before them
-        self._effort_limit = self._limits.effort
         self._lag_s = 0.0  # how much older than usual this tick's sample is, where it is less than a period
         self._lag_periods = 0  # how much older than usual this tick's sample is
         self._samples_tracked = 0
@@ -106,7 +105,7 @@ class Motion:
         self._skipped = 0
         self._shown = self._stands_at = None
         self._stands = False
-        self.limit_effort(self._limits.effort)
+        self.law.effort_limit = self._limits.effort
         self._speed_of_late = 0.0
         self._was_outlier = False
         self.blind = False
@@ -114,10 +113,6 @@ class Motion:
         self.unchanged_effort = 0.0
         self._unchanged = None
         self._recent.clear()
-
-    def limit_effort(self, limit: float) -> None:
-        """Hold the magnitude of the effort to a limit, in effort unit."""
-        self._effort_limit = self.law.effort_limit = limit
 
     def set_target(self, target: float, velocity: float) -> None:
         """Take a set-point in axis unit, with a cruise velocity in axis unit/s."""
@@ -198,7 +193,6 @@ class Motion:
             self.model_test.update(shown, before, self.law.observer, self._speed_of_late, self._lag_s)
         if sample is not None:
             self._compare_with_the_last()
-            self._limit_effort_against_a_jam()
         corrected = sample is not None and not lag
         self._braking.note(
             self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_test.is_sure
@@ -288,12 +282,6 @@ class Motion:
         """Whether effort and estimate are numbers."""
         observer = self.law.observer
         return math.isfinite(self.law.effort + observer.position + observer.velocity + observer.disturbance)
-
-    def _limit_effort_against_a_jam(self) -> None:
-        """Let the effort against what may hold the axis not rise beyond the jam effort, once it has got there."""
-        jammed = self.unchanged_effort >= self._limits.jam_effort and self._effort_limit == self._limits.effort
-        most = max(abs(self._effort), self._limits.jam_effort)
-        self.law.effort_limit = min(self._effort_limit, most) if jammed else self._effort_limit
 
     def _gate(self, velocity: float) -> float:
         return self._limits.innovation + 1e-3 * self._limits.innovation_time_ms * abs(velocity)

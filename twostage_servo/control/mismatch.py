@@ -36,10 +36,8 @@ ACCEPTED: Final = tuple(
 )
 """Gain and pole, as multiples of the model's, and ticks of transport delay more, of plants that are good enough."""
 
-OTHERS: Final = ((-1.0, 1.0, 1.0), (-1.0, 1.3, 0.7), (0.45, 1.0, 1.0), (2.2, 1.0, 1.0))
-"""What encoder or drive of plants that are not good may do, as a factor, and gain and pole of the plant behind it."""
-
-_REVERSED: Final = (0, 1)
+GAIN_FACTORS: Final = (-1.0, 0.45, 2.2)
+"""Gains that are not, as multiples of the model's."""
 
 CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 """How many times as much the encoder counts after a change."""
@@ -47,7 +45,7 @@ CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 FORGETTING: Final = 0.93
 """Weight of the window for each tick of age: a time constant of 14 ticks."""
 
-EVIDENCE: Final = (8.0, 8.0, 5.0, 5.0)
+EVIDENCE: Final = (8.0, 5.0, 5.0)
 """How many times smaller the sum of squares of each of them has to be than that of the best accepted plant."""
 
 STILL_EVIDENCE: Final = 4.0
@@ -75,10 +73,6 @@ NOISE_SHARE: Final = 1.25
 
 DATE_SHARE: Final = 0.25
 """What is added to it for each axis unit/s of speed, as a share of the time by which dates of samples may be off."""
-
-STANDING_SHARE: Final = 0.2
-"""Share of the present innovation in the standing one, which hides that the model's velocity is off: a change begins
-from what the samples have shown before it."""
 
 NOISE_MEMORY: Final = 0.01
 """Share of a sample in the noise that is measured, as half the squared difference of two innovations: what is white
@@ -219,9 +213,8 @@ class ModelTest:
     """
 
     __slots__ = (
-        "_accepted", "_base", "_changes", "_date_share_s", "_disturbance_share", "_effort_before", "_gains",
-        "_innovation", "_least", "_least_at_rest", "_noise_square", "_reversed_ticks", "_sample", "_standing",
-        "_still_sum", "_sum", "_sums", "_velocity_share", "is_sure", "surprise",
+        "_accepted", "_changes", "_date_share_s", "_effort_before", "_gains", "_innovation", "_least",
+        "_least_at_rest", "_noise_square", "_sample", "_still_sum", "_sum", "_sums", "is_sure", "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
@@ -229,25 +222,15 @@ class ModelTest:
             (_observer(gain, Plant(plant.gain, pole * plant.pole), period_s, noise), delay)
             for gain, pole, delay in ACCEPTED
         ]
-        self._gains = [
-            _observer(factor * gain, Plant(plant.gain, pole * plant.pole), period_s, noise)
-            for factor, gain, pole in OTHERS
-        ]
+        self._gains = [_observer(factor, plant, period_s, noise) for factor in GAIN_FACTORS]
         self._changes = [_Change(factor, plant, period_s, noise) for factor in CHANGE_FACTORS]
         self._least = self._least_at_rest = NOISE_SHARE * noise.measurement_variance**0.5
         self._date_share_s = DATE_SHARE * date_error_s
         self.is_sure = True
         self._sample = self._still_sum = 0.0
-        self._reversed_ticks = 0
         self._innovation = self._noise_square = 0.0
-        sampled = plant.discretise(period_s)
-        gain1, gain2, _ = kalman_gain(sampled, noise).predictor
-        self._base = DisturbanceObserver(sampled, NO_CORRECTION)
-        self._standing = 0.0
-        self._velocity_share = gain1 / sampled.a12
-        self._disturbance_share = (gain2 + (1.0 - sampled.a22) * self._velocity_share) / sampled.b2
         self._effort_before = 0.0
-        self._sums = [0.0] * len(OTHERS)
+        self._sums = [0.0] * len(GAIN_FACTORS)
         self._sum = 0.0
         self.surprise = 0.0
 
@@ -264,11 +247,10 @@ class ModelTest:
         for change in self._changes:
             change.begin(model)
         self._effort_before = effort
-        self._standing = self._still_sum = 0.0
+        self._still_sum = 0.0
         self._sample = model.position
-        self._reversed_ticks = 0
         self._sum = model.innovation * model.innovation / (1.0 - FORGETTING)
-        self._sums = [self._sum] * len(OTHERS)
+        self._sums = [self._sum] * len(GAIN_FACTORS)
         self.surprise = self._sum**0.5
 
     def shift(self, distance: float) -> None:
@@ -322,25 +304,14 @@ class ModelTest:
         for index, observer in enumerate(self._gains):
             observer.update(sample + observer.velocity * lag_s, effort)
             sums[index] = FORGETTING * sums[index] + observer.innovation * observer.innovation
-        # A sign may turn round at any time: how wrong that has been while it had not is forgotten beyond what decides.
-        most = max(self._sum, self._least * self._least)
-        for index in _REVERSED:
-            sums[index] = min(sums[index], most)
-        is_better = self._sum > EVIDENCE[0] * min(sums[index] for index in _REVERSED)
-        self._reversed_ticks = self._reversed_ticks + 1 if is_better else 0
         step, self._sample = sample - self._sample, sample
         self._still_sum = FORGETTING * self._still_sum + step * step
         difference, self._innovation = model.innovation - self._innovation, model.innovation
         self.is_sure = least_square <= self._least * self._least
         if self.is_sure:
-            self._standing += STANDING_SHARE * (model.innovation - self._standing)
             self._noise_square += NOISE_MEMORY * (0.5 * difference * difference - self._noise_square)
-        base = self._base
-        base.position = model.position
-        base.velocity = model.velocity + self._velocity_share * self._standing
-        base.disturbance = model.disturbance + self._disturbance_share * self._standing
         for change in self._changes:
-            change.update(sample, effort, base, least_square, lag_s)
+            change.update(sample, effort, model, least_square, lag_s)
 
     @property
     def better_factor(self) -> float | None:
@@ -353,12 +324,10 @@ class ModelTest:
         likeliest = max(self._changes, key=_Change.evidence)
         if likeliest.is_certain(self._least, self._sum, self._noise_square):
             return likeliest.factor
-        best = min(range(len(OTHERS)), key=self._sums.__getitem__)
+        best = min(range(len(GAIN_FACTORS)), key=self._sums.__getitem__)
         if STILL_EVIDENCE * self._sums[best] >= self._still_sum:  # an encoder that stands still explains as much
             return None
-        if best in _REVERSED and self._reversed_ticks < CHANGE_TICKS:
-            return None
-        return OTHERS[best][0] if self._sum > EVIDENCE[best] * self._sums[best] else None
+        return GAIN_FACTORS[best] if self._sum > EVIDENCE[best] * self._sums[best] else None
 
     def reckon(self, factor: float) -> Reckoning:
         """Return what the model says of the axis, where its encoder is in doubt.
@@ -376,8 +345,7 @@ class ModelTest:
                 factor == 0.0 or change.is_certain(self._least, self._sum, self._noise_square)
             ):
                 return change.reckon()
-        alike = [index for index, (other, *_) in enumerate(OTHERS) if other == factor]
-        observer = self._gains[min(alike, key=self._sums.__getitem__)]
+        observer = self._gains[GAIN_FACTORS.index(factor)]
         return Reckoning(observer.velocity / factor, observer.disturbance)
 
 
