@@ -466,7 +466,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(60, "heavy lines from 55 clients", client_faults.heavy_lines, TOLERATED, _unnoticed,
           phases=EVERYWHERE, check=client_faults.serves_others),
     Fault(66, "old request after a freeze", client_faults.freeze, _stalls(client_faults.FREEZE_S),
-          _stalled(client_faults.FREEZE_S), phases=EVERYWHERE, check=client_faults.has_expired),
+          _stalled(client_faults.FREEZE_S), phases=EVERYWHERE, check=client_faults.has_expired, shared=True),
     # The process
     *(
         Fault(61, f"signal {number.name}, twice", _R.receive(number), _after_a_signal, _ended,
