@@ -197,6 +197,10 @@ def _is_shared(status: os.stat_result) -> bool:
     return _is_open(status) or bool(status.st_mode & stat.S_IWGRP and status.st_gid != status.st_uid)
 
 
+_OVERFLOW_UID = 65534
+"""The kernel's own choice of that user, where /proc does not tell another one."""
+
+
 def _unmapped() -> set[int]:
     """Return the user id that stands for all users outside of this user namespace, root among them; none without one.
 
@@ -206,9 +210,12 @@ def _unmapped() -> set[int]:
     try:
         if Path("/proc/self/uid_map").read_bytes().split() == _INITIAL_NAMESPACE:
             return set()
-        return {int(Path("/proc/sys/kernel/overflowuid").read_bytes())}
     except OSError:
         return set()
+    try:
+        return {int(Path("/proc/sys/kernel/overflowuid").read_bytes())}
+    except OSError:  # the service's unit hides it (ProcSubset=pid)
+        return {_OVERFLOW_UID}
 
 
 def _named(user: int) -> str:
