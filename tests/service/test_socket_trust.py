@@ -232,6 +232,14 @@ def test_what_stands_for_the_users_outside_of_a_namespace(monkeypatch: pytest.Mo
     files["/proc/self/uid_map"] = b"         0       1000          1\n"
     assert socket_trust._unmapped() == {65534}
 
+    def hidden(path: Path) -> bytes:  # as ProcSubset=pid of the service's unit hides it
+        if str(path) != "/proc/self/uid_map":
+            raise FileNotFoundError(path)
+        return files[str(path)]
+
+    monkeypatch.setattr(Path, "read_bytes", hidden)
+    assert socket_trust._unmapped() == {65534}
+
     def unreadable(_: Path) -> bytes:
         raise PermissionError
 
