@@ -13,11 +13,14 @@ import pytest
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 sys.path.insert(0, str(TOOLS))
 
-from rig import fresh_debian as fresh_module  # noqa: E402 - found by the path above
+from rig import bench as bench_module  # noqa: E402 - found by the path above
+from rig import fresh_debian as fresh_module  # noqa: E402
 from rig import guest as guest_module  # noqa: E402
 from rig import run as run_module  # noqa: E402
 from rig import scenarios as scenarios_module  # noqa: E402
 from rig.guest import Guest, RigError  # noqa: E402
+
+from twostage_servo.cli.main import main  # noqa: E402
 
 if TYPE_CHECKING:
     from rig.bench import Bench
@@ -91,6 +94,12 @@ def test_a_folder_that_is_to_be_in_memory_is_packed_at_its_path(tmp_path: Path) 
         assert [one for one in packed.getnames() if one.endswith(".py")] == [f"{tmp_path}/package/module.py"[1:]]
     with pytest.raises(RigError, match="cannot be packed"):
         run_module._pack([tmp_path / "absent"], tmp_path / "packed")
+
+
+def test_check_accepts_the_configuration_of_the_rigs_axes(tmp_path: Path) -> None:
+    path = tmp_path / "x.toml"
+    path.write_text(bench_module.patient((TOOLS.parent / "config/socketcan.toml").read_text()))
+    assert main(["check", "--config", str(path)]) == 0
 
 
 def test_a_root_without_systemd_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

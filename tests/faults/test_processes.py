@@ -14,7 +14,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -30,7 +31,7 @@ from twostage_servo.faults import approach, bench, power_cut
 from twostage_servo.faults.campaign import Cell, NotOperableError
 from twostage_servo.faults.hosted import HostedRun
 from twostage_servo.faults.launch import LONGEST_S, Child
-from twostage_servo.faults.listening import Listener, Operator, Order, RefusalError, Report
+from twostage_servo.faults.listening import Listener, Operator, Order, RefusalError, Report, Snapshot
 from twostage_servo.faults.plan import plan_target
 from twostage_servo.faults.processes import HostedFault, hosted_cells, run_hosted
 from twostage_servo.faults.table import Phase
@@ -115,6 +116,29 @@ def test_the_verdict_can_fail(cells: dict[int, Cell]) -> None:
     assert "the service commands an effort" in cell.wrong
     assert "after SIGCONT" in cell.wrong
     assert "the drive is still enabled" in cell.wrong
+
+
+def test_what_a_service_does_later_is_not_read_from_what_has_waited() -> None:
+    """Status lines pile up while nobody reads them, and a busy bus brings commands later than status tells of them."""
+    orders = [Order(0.5, 3.0, True), Order(2.0, 3.0, True)]
+    operator = SimpleNamespace(take=lambda: True, unread=deque({"ticks": {"count": 40}} for _ in range(40)))
+    operator.latest = {"ticks": {"count": 40}, "axis": {"effort": 3.0}}
+
+    def watch(condition: Callable[[Snapshot], bool], _: str) -> None:
+        assert not operator.unread
+        for count in range(41, 1000):
+            if condition({"ticks": {"count": count}}):
+                return
+            if count == 100:
+                orders.append(Order(2.01, 3.0, True))
+        raise AssertionError("nothing ends the wait")
+
+    stand_in = SimpleNamespace(operator=operator, watch=watch, listener=SimpleNamespace(orders=orders))
+    for heard, told in ((True, "the service commands an effort"), (False, "the service sends no commands")):
+        run = HostedRun(37, Phase.CRUISING, cast("Any", None))
+        run._bench = cast("bench.Bench", stand_in)
+        run._watch_what_follows(1.0 if heard else 3.0, spared=1)
+        assert run._seen.wrong[0].startswith(told)
 
 
 def test_on_several_cores_these_tests_share_one(request: pytest.FixtureRequest) -> None:

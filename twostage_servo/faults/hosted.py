@@ -15,7 +15,7 @@ from twostage_servo.faults.bench import Bench
 from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.campaign import Cell
 from twostage_servo.faults.launch import LONGEST_S
-from twostage_servo.faults.listening import Snapshot
+from twostage_servo.faults.listening import Order, Snapshot
 from twostage_servo.faults.table import DISABLED, HELD, TOLERATED, Phase
 from twostage_servo.faults.watchdog import Watchdog
 from twostage_servo.faults.world import Sample
@@ -34,6 +34,8 @@ WATCHDOG_S = 0.5
 
 _LATER_TICKS = 20
 """For how long a service that is back is watched."""
+_SILENT_TICKS = 500
+"""For how long one that seems to send nothing is watched."""
 _HELD_UP_TICKS = 1.5
 """Frames that are later than this show a machine that holds processes up."""
 _FASTER = 1.1
@@ -200,10 +202,20 @@ class HostedRun:
     def _watch_what_follows(self, since_s: float, spared: int = 0) -> None:
         """Watch a service that is back: no effort, no drive enabled, no motion."""
         bench, seen = self._bench, self._seen
+
+        def later() -> list[Order]:
+            return [order for order in bench.listener.orders if order.time_s >= since_s][spared:]
+
+        # What has waited in the connection since the wait for rest tells nothing of now; and on a busy machine the bus
+        # may bring later what the service has sent sooner.
+        bench.operator.take()
+        bench.operator.unread.clear()
         first = bench.operator.latest["ticks"]["count"]
-        bench.watch(lambda now: now["ticks"]["count"] >= first + _LATER_TICKS, "the service to go on")
-        bench.take()
-        orders = [order for order in bench.listener.orders if order.time_s >= since_s][spared:]
+        bench.watch(
+            lambda now: now["ticks"]["count"] >= first + (_LATER_TICKS if later() else _SILENT_TICKS),
+            "the service to go on",
+        )
+        orders = later()
         if not orders:
             seen.wrong.append("the service sends no commands")
         if any(order.effort or order.enable for order in orders):
