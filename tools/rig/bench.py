@@ -36,6 +36,8 @@ _PATIENT: Final = {
 }  # fmt: skip
 _UNDETECTED_TRAVEL: Final = 60.0
 """Of an encoder that is told late because of those limits, mm."""
+_ARMING_TIMEOUT_MS: Final = 5000.0
+"""Arming waits for two fresh samples in a row."""
 PATIENT_UNIT: Final = "[Service]\nTimeoutStartSec=300\nWatchdogSec=8\n"
 _SERVICE: Final = '[service]\ntick_ms = 20.0\n\n[realtime]\nlock_memory = true\nspin = "off"\n'
 _SIMULATION: Final = """
@@ -259,6 +261,7 @@ def patient(shipped: str) -> str:
         assert count == 1, key  # noqa: S101 - a key that is gone would be set nowhere
     # A gate so wide leaves an encoder that turns round to the model's tests alone, and they take longer in a stop.
     shipped = shipped.replace("[axis.limits]\n", f"[axis.limits]\nundetected_travel = {_UNDETECTED_TRAVEL}\n")
+    shipped = shipped.replace("[axis]\n", f"[axis]\narming_timeout_ms = {_ARMING_TIMEOUT_MS}\n")
     return _SERVICE + shipped + _SIMULATION
 
 
