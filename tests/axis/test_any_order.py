@@ -139,7 +139,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule()
     def foreign_command(self) -> None:
-        self.rig.axis.notice_foreign_command("0x201")
+        self.rig.axis.take_foreign_command("0x201")
 
     @rule(load=st.floats(-30.0, 30.0) | st.just(0.0))
     def load(self, load: float) -> None:

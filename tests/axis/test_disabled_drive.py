@@ -180,7 +180,7 @@ def test_the_axis_takes_over_what_was_known_of_its_drive() -> None:
 def ask(axis: Axis, what: str) -> None:
     match what:
         case "foreign":
-            axis.notice_foreign_command("0x201")
+            axis.take_foreign_command("0x201")
         case "jam":
             axis.raise_trip(TripCode.JAM, "test")
         case "move":

@@ -76,7 +76,7 @@ def test_arming_waits_for_the_first_heartbeat_and_again_after_the_bus_was_lost()
 def test_a_foreign_command_keeps_from_arming_for_as_long_as_arming_may_take(missed: int) -> None:
     """500 ms are 50 ticks."""
     drive = report()
-    drive.notice_foreign_command()
+    drive.foreign.take("0x201", enables=True)
     for tick in range(1, 50 // (1 + missed) + 1):
         drive.begin_tick(missed)
         drive.take(Feedback(0.0, None, enabled=False))
@@ -253,7 +253,7 @@ def test_a_switch_forbids_the_way_towards_it(direction: float, names: tuple[str 
 def test_a_new_report_of_the_same_drive_knows_what_the_former_one_did() -> None:
     former = report(100.0, heartbeat=True)
     former.take_heartbeat(3)
-    former.notice_foreign_command()
+    former.foreign.take("0x201", enables=True)
     seen(former, 95.0, 1, home_switch=True)
     seen(former, 5.0, 2, enabled=False)
     former.shift(7.0)

@@ -16,7 +16,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.feedback import FeedbackMonitor
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import Feedback, Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -311,10 +311,13 @@ def test_a_limit_switch_stops_slow_motion_as_well(velocity: float) -> None:
 
 def test_another_master_disables_and_keeps_the_axis_from_being_armed_for_a_while() -> None:
     rig = rig_of().cruising()
-    rig.axis.notice_foreign_command("0x201")
+    rig.axis.take_foreign_command("0x201")
     assert (rig.state(), trip_of(rig)) == (State.TRIPPED, TripCode.FOREIGN_COMMAND)
+    with pytest.raises(Refused, match="another node on the bus commands this drive: 0x201"):
+        rig.axis.reset()  # it has not been seen to be off yet
+    rig.seconds(0.05)
     rig.axis.reset()
-    rig.seconds(0.4)
+    rig.seconds(0.35)
     obstacle = rig.axis.obstacle_to_arming()
     assert obstacle is not None
     assert obstacle[0] == "foreign_command"

@@ -235,7 +235,7 @@ def test_a_reboot_trips_an_enabled_axis_and_a_foreign_command_too() -> None:
     rig.axis.take_heartbeat(2)
     assert (tripped(rig), rig.axis.referenced) == (TripCode.DRIVE_REBOOTED, False)
     rig = AxisRig().armed()
-    rig.axis.notice_foreign_command("0x201")
+    rig.axis.take_foreign_command("0x201")
     assert rig.axis.trip is not None
     assert rig.axis.trip.code is TripCode.FOREIGN_COMMAND
     assert rig.axis.trip.cause.endswith("0x201")

@@ -31,6 +31,9 @@ def snapshots() -> Snapshots:
         tell("disabling", world)
         await world.seconds(0.1)
         tell("disabled", world)
+        world.axis.take_foreign_command("0x201 [00], which disables the drive", enables=False)
+        tell("foreign", world)
+        await world.seconds(0.6)
         await world.armed()
         world.drive.change(world.ticks._index * 0.01 + 0.001, stays_enabled=True, load=-1.0)
         world.axis.disarm()
@@ -105,6 +108,18 @@ def test_a_drive_that_does_not_obey_is_told_and_ends_each_command_with_3(
     assert "trip drive_not_disabled: the drive reports that it is enabled" in out
     assert "next: Switch the drive's power off" in out
     assert "lasts drive_not_disabled: the drive reports that it is enabled" in out
+
+
+@pytest.mark.parametrize("verb", ["disarm", "reset", "status"])
+def test_somebody_elses_commands_to_a_disarmed_axis_are_told_and_end_each_command_with_3(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], snapshots: Snapshots, verb: str
+) -> None:
+    assert snapshots["foreign"]["trip"] is None
+    code, _ = run(monkeypatch, verb, snapshots["foreign"])
+    assert code == 3
+    out = capsys.readouterr().out
+    assert "\nlasts foreign_command: another node on the bus commands this drive: 0x201 [00]" in out
+    assert "\nnext: Keep away from the axis" in out
 
 
 def test_disarm_does_not_take_the_silence_of_a_drive_that_was_enabled_for_an_answer(

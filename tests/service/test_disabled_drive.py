@@ -107,7 +107,7 @@ def test_a_drive_that_stays_enabled_after_disarm_trips_and_is_told_everywhere_fo
 
 
 def foreign(world: World) -> None:
-    world.axis.notice_foreign_command("0x201")
+    world.axis.take_foreign_command("0x201")
 
 
 def sto_is_told(world: World) -> None:
@@ -145,7 +145,7 @@ def test_a_reset_within_the_drives_time_does_not_begin_it_anew() -> None:
     async def script(world: World) -> None:
         await world.cruising(velocity=20.0)
         change(world, stays_enabled=True)
-        foreign(world)
+        sto_is_told(world)
         told_s = now_s()
         await world.seconds(0.4)
         ask(world, op="reset")

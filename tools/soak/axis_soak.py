@@ -170,7 +170,7 @@ class AxisSoak:
         self.drive.velocity += self.random.uniform(-knock, knock)
 
     def _foreign_command(self) -> None:
-        self.axis.notice_foreign_command("soaked")
+        self.axis.take_foreign_command("soaked")
 
     def _limit_switch(self) -> None:
         self.drive.limit_switch = 0.0 if self.drive.limit_switch else self.random.choice((-1.0, 1.0))

@@ -222,13 +222,13 @@ class Axis(Machine):
         ------
         Refused
             If the axis is armed, or still braking after the trip, or something is wrong with its drive that must not
-            last: one that is not disabled, or that contradicts itself.
+            last: one that is not disabled, that contradicts itself, or that another node commands while it is enabled.
         """
         if self.state in LATCHED and self.state is not State.TRIPPED:
             raise Refused("busy", "the axis is still braking after its trip: `reset` when it is at rest.")
         if next_state(self.state, Event.RESET) is None:
             raise Refused("not_tripped", f"the axis is {self.state}: there is nothing to reset.")
-        if (lasting := next(iter(self.lasting), None)) is not None:
+        if (lasting := next(iter(self.hazards), None)) is not None:
             raise Refused(lasting.code.value, f"{lasting.cause.rstrip('.')}. {lasting.next_action}")
 
     def _new_move(self, kind: Literal["move", "jog", "home"], target: float, velocity: float) -> Move:

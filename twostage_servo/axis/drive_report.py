@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 from twostage_servo.axis.drive_states import DriveState, DriveStateComparison
 from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
+from twostage_servo.axis.foreign_commands import ForeignCommands
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.trips import TripCode
@@ -13,7 +14,7 @@ _INPUTS = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
 
 _KNOWLEDGE = (
     "monitor", "position", "age_s", "enabled", "fault_code", "faulted", *_INPUTS, "index", "boots", "_near", "_origin",
-    "_boot_counter", "_heartbeat_heard", "_ticks_since_heartbeat", "_ticks_since_foreign", "_ticks_unseen", "_backlog",
+    "_boot_counter", "_heartbeat_heard", "_ticks_since_heartbeat", "_ticks_unseen", "_backlog",
 )  # fmt: skip
 """What a report knows of the drive, and does not have from the settings."""
 
@@ -63,6 +64,8 @@ class DriveReport:
         The alive counter's bookkeeping.
     states
         Whether heartbeat and feedback agree.
+    foreign
+        What somebody else has told the drive.
     """
 
     def __init__(
@@ -76,6 +79,7 @@ class DriveReport:
     ) -> None:
         self.monitor = FeedbackMonitor(counter_modulus)
         self.states = DriveStateComparison(settings, period_s)
+        self.foreign = ForeignCommands(settings, period_s)
         self.position: float | None = None
         self.age_s: float | None = None
         self.enabled: bool | None = None
@@ -105,10 +109,8 @@ class DriveReport:
         # Where the axis can't be half a round from where it was last seen, the nearest round is always the right one.
         one_round_only = position_period == 0.0 or travel < 0.5 * position_period
         self._unseen_limit_s = math.inf if one_round_only else 0.5 * position_period / limits.overspeed
-        self._ticks_since_foreign: int | None = None
         self._stale_ticks = math.ceil(settings.limits.stale_feedback_ms / self._period_ms)
         self._heartbeat_ticks = math.ceil(settings.limits.heartbeat_ms / self._period_ms)
-        self._foreign_ticks = math.ceil(settings.arming_timeout_ms / self._period_ms)
 
     def begin_tick(self, missed: int, expected: float | None = None) -> None:
         """Let everything known grow older by this tick and those missed before it.
@@ -122,8 +124,7 @@ class DriveReport:
             self._near = self.position if expected is None else expected
         self._ticks_unseen += 1 + missed
         self.monitor.begin_tick(missed)
-        if self._ticks_since_foreign is not None:
-            self._ticks_since_foreign += 1 + missed
+        self.foreign.begin_tick(missed)
         self._ticks_since_heartbeat += 1 + missed
 
     # What comes from the drive ---------------------------------------------------------------------------------------
@@ -193,10 +194,6 @@ class DriveReport:
         self.boots += rebooted
         return rebooted
 
-    def notice_foreign_command(self) -> None:
-        """Remember that somebody else commands the drive."""
-        self._ticks_since_foreign = 0
-
     def forget(self) -> None:
         """Start afresh, as after the bus was lost; roll-overs are counted on from where the axis was last seen."""
         self.monitor.forget()
@@ -211,6 +208,7 @@ class DriveReport:
         for name in _KNOWLEDGE:
             setattr(self, name, getattr(former, name))
         self.states.take_over(former.states)
+        self.foreign.take_over(former.foreign)
 
     def forget_index(self) -> None:
         """Wait for the index mark anew."""
@@ -300,11 +298,9 @@ class DriveReport:
                     f"{self._why_late()}."
                 ),
             )
-        if self._ticks_since_foreign is not None and self._ticks_since_foreign < self._foreign_ticks:
-            return (
-                "foreign_command",
-                "another node on the bus commands this drive: end the other service or tool first.",
-            )
+        if self.foreign.lasts:
+            text = f"another node on the bus commands this drive: {self.foreign}. End the other service or tool first."
+            return "foreign_command", text
         if self.enabled is True:
             return "still_enabled", "the drive has not been disabled yet: ask again."
         if self._has_heartbeat and not self._heartbeat_heard:

@@ -139,10 +139,22 @@ class Machine:
             self.disabled.motion.begin(0.0)
             self.raise_trip(TripCode.DRIVE_REBOOTED, "the drive has rebooted while it was enabled")
 
-    def notice_foreign_command(self, frame: str) -> None:
-        """Take notice of a command to this axis' drive that is not its own; two masters can't hold one axis."""
-        self.drive.notice_foreign_command()
-        self.raise_trip(TripCode.FOREIGN_COMMAND, f"another node on the bus commands this drive: {frame}")
+    def take_foreign_command(self, frame: str, *, enables: bool | None = None) -> None:
+        """Take a command to this axis' drive that is not its own; two masters can't hold one axis.
+
+        It trips an enabled axis. One that is disabled is told of it for as long as it lasts, and trips as soon as the
+        drive may be enabled by it.
+
+        Parameters
+        ----------
+        frame
+            The frame and what it asks for, in words.
+        enables
+            Whether it enables the drive; None where that cannot be read from it.
+        """
+        self.drive.foreign.take(frame, enables=enables)
+        if self.state in ENABLED:
+            self.raise_trip(TripCode.FOREIGN_COMMAND, self._say_foreign())
 
     def step(self) -> Command:
         """Close the tick: run the law, hold the limits, and return what goes to the drive."""
@@ -204,12 +216,25 @@ class Machine:
 
     @property
     def lasting(self) -> tuple[Trip, ...]:
-        """What is wrong with the drive at this moment, with its present numbers; no reset is possible meanwhile."""
+        """What is wrong with the drive at this moment, with its present numbers.
+
+        All of it trips but somebody else's commands to a drive that is seen to be disabled.
+        """
+        lasting = self.hazards
+        if self.drive.foreign.lasts and all(one.code is not TripCode.FOREIGN_COMMAND for one in lasting):
+            lasting = (*lasting, Trip(TripCode.FOREIGN_COMMAND, self._say_foreign(), self._tick))
+        return lasting
+
+    @property
+    def hazards(self) -> tuple[Trip, ...]:
+        """That of it which trips, also while disabled; no reset is possible meanwhile."""
         lasting = []
         if self.disabled.not_disabled:
             lasting.append(Trip(TripCode.DRIVE_NOT_DISABLED, self._say_not_disabled(), self._tick))
         if contradiction := self.drive.states.contradiction:
             lasting.append(Trip(TripCode.DRIVE_STATE_MISMATCH, contradiction, self._tick))
+        if self._obeys_another:
+            lasting.append(Trip(TripCode.FOREIGN_COMMAND, self._say_foreign(), self._tick))
         return tuple(lasting)
 
     @property
@@ -220,7 +245,7 @@ class Machine:
     @property
     def present_trip(self) -> Trip | None:
         """The trip that the operator has to deal with first: one that lasts, else the first one; None without any."""
-        return next(iter(self.lasting), self.trip)
+        return next(iter(self.hazards), self.trip)
 
     def obstacle_to_arming(self) -> tuple[str, str] | None:
         """Return code and text of what keeps a disarmed axis from being armed, or None."""
@@ -256,16 +281,30 @@ class Machine:
         else:
             position = drive.position if drive.fresh else None
             self.disabled.look(self._missed, drive.enabled_report, position, self.law.observer.velocity)
-        for trip in self.lasting:
+        for trip in self.hazards:
             if trip.code not in self.trips:
                 self.raise_trip(trip.code, trip.cause)
+
+    @property
+    def _obeys_another(self) -> bool:
+        """Whether somebody else commands a drive that is told to be disabled, and it may be enabled by that."""
+        foreign = self.drive.foreign
+        if self.state in ENABLED or not foreign.lasts:
+            return False
+        # One whose feedback does not tell is taken at what it has been told.
+        return self.disabled.seen_enabled or (self.drive.enabled is None and foreign.enables is not False)
+
+    def _say_foreign(self) -> str:
+        return f"another node on the bus commands this drive: {self.drive.foreign}"
 
     def _say_not_disabled(self) -> str:
         watch, unit = self.disabled, self.settings.unit
         moved = "" if watch.moved is None else f"; the axis has moved by {watch.moved:+.4g} {unit} meanwhile"
+        foreign = self.drive.foreign
+        told_by = f"; another node on the bus has commanded it: {foreign}" if foreign.came_within(watch.told_ms) else ""
         return (
             f"the drive reports that it is enabled, for {watch.enabled_ms:g} ms of the {watch.told_ms:g} ms since it "
-            f"was told to disable{moved}; axis.arming_timeout_ms is {self.settings.arming_timeout_ms:g}"
+            f"was told to disable{moved}{told_by}; axis.arming_timeout_ms is {self.settings.arming_timeout_ms:g}"
         )
 
     def _arm_when_enabled(self) -> None:

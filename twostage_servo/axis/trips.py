@@ -224,7 +224,9 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.FOREIGN_COMMAND: TripRule(
         _DISABLE,
-        "End the other service or tool that commands this drive, then `reset` and `arm`.",
+        "Keep away from the axis: somebody else can move it. End the other service or tool that commands this drive; "
+        "after a trip, then `reset` and `arm`.",
+        while_disabled=True,
     ),
     TripCode.BUS_FAILED: TripRule(
         _DISABLE,

@@ -129,7 +129,8 @@ def _status(options: argparse.Namespace) -> ExitCode:
         print_json(status)
     else:
         print_line(_describe(status))
-    return ExitCode.FAILED if any(report["trip"] for report in _reports(status).values()) else ExitCode.DONE
+    reports = _reports(status).values()
+    return ExitCode.FAILED if any(one["trip"] or one["drive"]["lasting"] for one in reports) else ExitCode.DONE
 
 
 def _write_csv(path: Path, fields: list[str], records: list[list[Any]]) -> None:
@@ -351,7 +352,7 @@ def _one_line(status: "Answer") -> str:
             text += f"\nfile: {trip['file']}"
     for one in status["drive"]["lasting"]:
         text += f"\nlasts {one['code']}: {one['cause']}"
-        text += f"\nnext: {one['next_action']}" if trip and one["code"] != trip["code"] else ""
+        text += f"\nnext: {one['next_action']}" if not trip or one["code"] != trip["code"] else ""
     return text
 
 

@@ -34,11 +34,13 @@ class DisabledReport:
         """Report what is so in this tick, unless it has been told of late."""
         lasting = axis.lasting
         if lasting or self._next:
-            self._next = {one.code: self._next.get(one.code, tick_index + self._every) for one in lasting}
-        for one in lasting:  # the first line is that of the trip
+            # Of what has tripped the first line is that of the trip.
+            first = {one.code: tick_index + (self._every if one.code in axis.trips else 0) for one in lasting}
+            self._next = {code: self._next.get(code, first[code]) for code in first}
+        for one in lasting:
             if tick_index >= self._next[one.code]:
                 self._next[one.code] = tick_index + self._every
-                text = "the trip lasts"
+                text = "the trip lasts" if one.code in axis.trips else "this lasts, and has not tripped the axis"
                 self._log.error(text, tick=tick_index, code=one.code, cause=one.cause, next_action=one.next_action)
         self._report_motion(tick_index, axis)
 

@@ -91,7 +91,7 @@ class Receiver:
             elif profile.is_index(message):
                 axis.drive.take_index(profile.decode_index(message).position)
             elif profile.is_command(message):
-                axis.notice_foreign_command(f"{profile.command_id} [{message.data.hex(' ')}]")
+                self._take_foreign(message, axis)
             else:
                 profile.decode_command(message)  # which says what it is instead
         except FrameRejected as rejection:
@@ -137,6 +137,18 @@ class Receiver:
                 faulted=_tells_fault(feedback),
             )
         )
+
+    def _take_foreign(self, message: can.Message, axis: "Axis") -> None:
+        """Take a command that is not ours to the axis, with what it asks for as far as that can be read."""
+        frame = f"{self._profile.command_id} [{message.data.hex(' ')}]"
+        try:
+            effort, enable, _ = self._profile.decode_command(message)
+        except FrameRejected as rejection:
+            axis.take_foreign_command(f"{frame}, which is no valid command ({rejection.reason})")
+            return
+        enables = effort != 0.0 if enable is None else enable
+        asks = f"asks for an effort of {effort:.4g} {axis.settings.effort_unit}" if enables else "disables the drive"
+        axis.take_foreign_command(f"{frame}, which {asks}", enables=enables)
 
     def _dated_age_s(self, age_s: float | None) -> float | None:
         return None if age_s is None else age_s - self._lateness_s

@@ -93,6 +93,9 @@ def _of(station: "Station") -> str:
         for one in axis.lasting:
             if one.code is not axis.trip.code:
                 words = f"{words} Besides ({one.code}): {one.cause.rstrip('.')}. {one.next_action}"
+    elif axis.lasting:
+        for one in axis.lasting:
+            words = f"{words} ({one.code}): {one.cause.rstrip('.')}. {one.next_action}"
     elif port.error is not None:
         words = f"{words}, no bus: {port.error}"
     elif axis.drive.is_stale:
