@@ -13,8 +13,8 @@ import structlog
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from twostage_servo.cli.axis_text import describe, lines_of
 from twostage_servo.cli.main import build_parser
-from twostage_servo.cli.operate import _describe, _lines
 from twostage_servo.cli.output import Progress, note, print_json, print_line
 from twostage_servo.printable import printable, printable_json, printable_line
 from twostage_servo.service.journal import journal_entry
@@ -99,13 +99,15 @@ def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -
     lateness = dict.fromkeys(("p50", "p99", "max"), 0.0)
     status = {
         "axis": axis, "move": None, "inputs": {text: True}, "frames": frames, "lease": {"holder": text},
-        "trip": {"code": text, "cause": text, "next_action": text, "file": text},
+        "trip": {
+            "code": text, "cause": text, "next_action": text, "file": text, "file_error": text, "codes": [text, text],
+        },
         "drive": {"moved": 1.0, "lasting": [{"code": text, "cause": text, "next_action": text}]},
         "bus": {"open": False, "error": text, "controller": text}, "version": text, "pid": 1, "uptime_s": 0.0,
         "ticks": {"count": 1, "missed": 0, "lateness_us": lateness, "duration_us": {"whole": lateness}},
     }  # fmt: skip
-    print_line(_lines(status))
-    print_line(_describe(status))
+    print_line(lines_of(status))
+    print_line(describe(status))
     assert harmless(screen.getvalue()[start:])
 
 

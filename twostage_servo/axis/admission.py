@@ -57,6 +57,10 @@ class Admission:
             return
         if trip is not None:
             raise Refused("tripped", f"{say_tripped(trip)} {trip.next_action}")
+        if state is State.DISARMED and event in {Event.STOP, Event.QUICK_STOP}:
+            raise Refused(
+                "disarmed", "the axis is disarmed: its drive is told to be disabled, there is nothing to stop."
+            )
         if state is State.DISARMED:
             raise Refused("disarmed", "the axis is disarmed: `arm` it first.")
         raise Refused("busy", f"the axis is {state}: wait until it holds.")

@@ -229,7 +229,7 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
     from twostage_servo.service.settings import longest_end_s
     from twostage_servo.service.trip_files import default_folder
 
-    trips = Path(machine.service.trip_folder or default_folder())
+    trips = Path(machine.service.trip_folder or default_folder()).absolute()
     findings = [
         *check_machine(host, machine.realtime, Kernel(host.proc)),
         _socket_finding(socket_path(machine.service)),

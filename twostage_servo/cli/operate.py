@@ -8,18 +8,16 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twostage_servo.cli.axis_text import describe, line_of, lines_of, progress_line, reports_of, states_of, unheard_of
 from twostage_servo.cli.configuration import find_configuration
-from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from twostage_servo.cli.client import Answer, Client
 
-_ARMED = {
-    "holding", "moving_speed_stage", "moving_position_stage", "jogging", "homing", "stopping", "quick_stopping",
-    "disarming",
-}  # fmt: skip
+_DISABLED = {"disarmed", "tripped"}
 _BRAKING = {"stopping", "quick_stopping", "disarming", "tripped_stopping", "tripped_quick_stop"}
 _JOG_INTERVAL_S = 0.1
 LONGEST_RELOAD_S = 65.0
@@ -90,16 +88,6 @@ def _connect(options: argparse.Namespace) -> "Client":
     return Client(path, axis=getattr(options, "axis", None))
 
 
-def _reports(answer: "Answer") -> "dict[str, Answer]":
-    """Return what an answer says of each axis."""
-    axes: dict[str, Answer] = answer.get("axes") or {answer["axis"]["name"]: answer}
-    return axes
-
-
-def _states(answer: "Answer") -> set[str]:
-    return {report["axis"]["state"] for report in _reports(answer).values()}
-
-
 def _socket_of(config: Path | None) -> Path | None:
     config = find_configuration(config)
     if config is None:
@@ -128,8 +116,8 @@ def _status(options: argparse.Namespace) -> ExitCode:
     if options.json:
         print_json(status)
     else:
-        print_line(_describe(status))
-    reports = _reports(status).values()
+        print_line(describe(status))
+    reports = reports_of(status).values()
     return ExitCode.FAILED if any(one["trip"] or one["drive"]["lasting"] for one in reports) else ExitCode.DONE
 
 
@@ -152,7 +140,7 @@ def _watch(options: argparse.Namespace) -> ExitCode:
             if options.json:
                 print_json(snapshot)
             else:
-                print_line(_lines(snapshot))
+                print_line(lines_of(snapshot))
     return ExitCode.DONE
 
 
@@ -165,12 +153,18 @@ def _arm(options: argparse.Namespace) -> ExitCode:
 def _disarm(options: argparse.Namespace) -> ExitCode:
     with _connect(options) as client:
         client.request(op="disarm")
-        return _finish(options, _wait_while(client, _BRAKING))
+        return _finish(options, _wait_while(client, _BRAKING), disabled=True)
 
 
 def _stop(options: argparse.Namespace) -> ExitCode:
     with _connect(options) as client:
-        client.request(op="stop", quick=options.quick)
+        try:
+            client.request(op="stop", quick=options.quick)
+        except CommandError as error:
+            if error.code != "disarmed":
+                raise
+            note(f"twostage-servo stop: {error}")  # it is as it should be, if the drive is off
+            return _finish(options, _wait_while(client, _BRAKING), disabled=True)
         return _finish(options, _wait_while(client, _BRAKING))
 
 
@@ -199,7 +193,7 @@ def _renew_jog(client: "Client", options: argparse.Namespace) -> None:
     end_s = math.inf if options.seconds is None else time.monotonic() + options.seconds
     try:
         while answer["move"]["number"] == number and answer["move"]["outcome"] == "moving":
-            progress.show(_one_line(answer))
+            progress.show(line_of(answer))
             if (left_s := end_s - time.monotonic()) <= 0.0:
                 break
             time.sleep(min(_JOG_INTERVAL_S, left_s))
@@ -238,7 +232,7 @@ def _reload(options: argparse.Namespace) -> ExitCode:
 def _reset(options: argparse.Namespace) -> ExitCode:
     with _connect(options) as client:
         client.request(op="reset")
-        return _finish(options, _wait_while(client, set()))
+        return _finish(options, _wait_while(client, set()), disabled=True)
 
 
 def _move(options: argparse.Namespace) -> ExitCode:
@@ -265,12 +259,14 @@ def _wanted(options: argparse.Namespace) -> dict[str, Any]:
 def _follow(client: "Client", begun: "Answer", names: "Sequence[str]" = (), *, quiet: bool) -> "Answer":
     """Show progress until the moves that an answer tells of, of all axes or of those named, have ended."""
     progress = Progress(quiet=quiet)
-    numbers = {name: report["move"]["number"] for name, report in _reports(begun).items() if not names or name in names}
+    numbers = {
+        name: report["move"]["number"] for name, report in reports_of(begun).items() if not names or name in names
+    }
     snapshot: Answer = {}
     try:
         for snapshot in client.watch(5):
-            reports = {name: _reports(snapshot)[name] for name in numbers}
-            progress.show("  ".join(map(_progress_line, reports.values())))
+            reports = {name: reports_of(snapshot)[name] for name in numbers}
+            progress.show("  ".join(map(progress_line, reports.values())))
             if any(
                 report["move"] is None or report["move"]["number"] != numbers[name] for name, report in reports.items()
             ):
@@ -297,7 +293,7 @@ def _wait_while(client: "Client", states: set[str]) -> "Answer":
     """
 
     def goes_on(seen: "Answer") -> bool:
-        return bool(_states(seen) & states) or any(one["drive"]["disabling"] for one in _reports(seen).values())
+        return bool(states_of(seen) & states) or any(one["drive"]["disabling"] for one in reports_of(seen).values())
 
     status = client.request(op="status")
     if goes_on(status):
@@ -305,98 +301,29 @@ def _wait_while(client: "Client", states: set[str]) -> "Answer":
     return {"ok": True} | status
 
 
-def _finish(options: argparse.Namespace, status: "Answer", *, moved: bool = False) -> ExitCode:
+def _finish(options: argparse.Namespace, status: "Answer", *, moved: bool = False, disabled: bool = False) -> ExitCode:
+    """Show how the axes are, and return what that means for a verb that moved them or disabled their drives."""
     if options.json:
         print_json(status)
     else:
-        print_line(_lines(status))
-    reports = _reports(status).values()
-    if options.verb == "arm" and _states(status) != {"holding"}:
+        print_line(lines_of(status))
+    reports = reports_of(status).values()
+    if options.verb == "arm" and states_of(status) != {"holding"}:
         return ExitCode.FAILED
     not_reached = moved and any(one["move"] and one["move"]["outcome"] in {"stopped", "tripped"} for one in reports)
+    unseen = [one for one in reports if disabled and one["axis"]["state"] in _DISABLED and unheard_of(one)]
+    for one in () if options.json else unseen:
+        print_line(
+            f"{one['axis']['name']}: it is not known whether the drive is off; its own command time-out has to have "
+            "stopped it. Look at the axis, and ask again when the drive is heard"
+        )
     if options.verb == "disarm":  # a trip has disabled the drive as well
-        return ExitCode.FAILED if any(map(_may_be_enabled, reports)) else ExitCode.DONE
-    failed = any(one["trip"] or _may_be_enabled(one) for one in reports) or not_reached
+        return ExitCode.FAILED if unseen or any(map(_may_be_enabled, reports)) else ExitCode.DONE
+    failed = any(one["trip"] or _may_be_enabled(one) for one in reports) or not_reached or bool(unseen)
     return ExitCode.FAILED if failed else ExitCode.DONE
 
 
 def _may_be_enabled(status: "Answer") -> bool:
     """Whether the drive of a disabled axis says that it is enabled, or two things at once; also if it is silent now."""
-    disabled = status["axis"]["state"] in {"disarmed", "tripped"}
+    disabled = status["axis"]["state"] in _DISABLED
     return disabled and bool(status["drive"]["enabled"] or status["drive"]["lasting"])
-
-
-def _number(value: float | None, unit: str) -> str:
-    return f"unknown {unit}" if value is None else f"{value:.3f} {unit}"
-
-
-def _lines(status: "Answer") -> str:
-    return "\n".join(map(_one_line, _reports(status).values()))
-
-
-def _one_line(status: "Answer") -> str:
-    axis, move, trip = status["axis"], status["move"], status["trip"]
-    text = f"{axis['name']}: {axis['state']} at {_number(axis['position'], axis['unit'])}"
-    if axis["velocity"] is not None and axis["state"] != "holding":
-        text += f", {axis['velocity']:.1f} {axis['unit']}/s"
-    if not axis["referenced"]:
-        text += ", not homed"
-    if move and axis["state"] in _ARMED and move["outcome"] != "replaced":
-        what = f"set-point {move['target']:g} {axis['unit']}" if move["kind"] == "move" else move["kind"]
-        text += f"; {what} {move['outcome']}" + (f": {move['reason']}" if move["reason"] else "")
-    if status["drive"]["moved"] is not None:
-        text += f"; moved by {status['drive']['moved']:+.3f} {axis['unit']} while disabled"
-    if trip:
-        text += f"\ntrip {trip['code']}: {trip['cause']}\nnext: {trip['next_action']}"
-        if trip["file"]:
-            text += f"\nfile: {trip['file']}"
-    for one in status["drive"]["lasting"]:
-        text += f"\nlasts {one['code']}: {one['cause']}"
-        text += f"\nnext: {one['next_action']}" if not trip or one["code"] != trip["code"] else ""
-    return text
-
-
-def _progress_line(snapshot: "Answer") -> str:
-    axis, move = snapshot["axis"], snapshot["move"]
-    if move is None or axis["position"] is None:
-        return _one_line(snapshot)
-    length = move["target"] - move["start"]
-    share = (axis["position"] - move["start"]) / length if length else 1.0
-    return f"{bar(share)} {axis['position']:10.3f} {axis['unit']} of {move['target']:g}, {axis['state']}"
-
-
-def _describe(status: "Answer") -> str:
-    rows = [row for report in _reports(status).values() for row in _rows_of_axis(report)]
-    ticks = status["ticks"]
-    lateness, whole = ticks["lateness_us"], ticks["duration_us"]["whole"]
-    rows += [
-        ("commanded by", status["lease"]["holder"] or "nobody"),
-        (
-            "ticks",
-            (
-                f"{ticks['count']}, {ticks['missed']} missed; lateness p50 {lateness['p50']:g}, "
-                f"p99 {lateness['p99']:g}, max {lateness['max']:g} µs; duration p50 {whole['p50']:g}, "
-                f"p99 {whole['p99']:g} µs"
-            ),
-        ),
-        ("service", f"version {status['version']}, process {status['pid']}, up {status['uptime_s']:.0f} s"),
-    ]
-    return "\n".join(f"{name:16} {text}" for name, text in rows)
-
-
-def _rows_of_axis(status: "Answer") -> list[tuple[str, str]]:
-    axis, frames, bus = status["axis"], status["frames"], status["bus"]
-    return [
-        ("axis", _one_line(status)),
-        ("effort", f"{axis['effort']:.3f} {axis['effort_unit']}" + (" (at its limit)" if axis["saturated"] else "")),
-        ("following error", f"{axis['following_error']:.3f} {axis['unit']}"),
-        ("bus", f"open, controller {bus['controller']}" if bus["open"] else f"closed: {bus['error']}"),
-        ("drive inputs", ", ".join(name for name, active in status["inputs"].items() if active) or "none active"),
-        (
-            "frames",
-            (
-                f"{frames['received']} received, {frames['sent']} sent, {frames['rejected']} rejected, "
-                f"{frames['lost']} lost, {frames['dropped']} dropped"
-            ),
-        ),
-    ]

@@ -8,6 +8,7 @@ from twostage_servo.printable import printable
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from twostage_servo.axis.trips import Trip
     from twostage_servo.service.loop import ServoService
     from twostage_servo.service.station import Station
     from twostage_servo.ticks import Tick
@@ -89,10 +90,7 @@ def _of(station: "Station") -> str:
     if axis.disabled.moved is not None:
         words = f"{words}, moved by {axis.disabled.moved:+.3g} {axis.settings.unit} while disabled"
     if axis.trip is not None:
-        words = f"{words} ({axis.trip.code}): {axis.trip.cause.rstrip('.')}. {axis.trip.next_action}"
-        for one in axis.lasting:
-            if one.code is not axis.trip.code:
-                words = f"{words} Besides ({one.code}): {one.cause.rstrip('.')}. {one.next_action}"
+        words = f"{words}{_of_trip(station, axis.trip)}"
     elif axis.lasting:
         for one in axis.lasting:
             words = f"{words} ({one.code}): {one.cause.rstrip('.')}. {one.next_action}"
@@ -102,4 +100,14 @@ def _of(station: "Station") -> str:
         words = f"{words}, the drive is silent"
     elif port.link.controller_state != "active":
         words = f"{words}, bus {port.link.settings.channel} error-{port.link.controller_state}"
+    return words
+
+
+def _of_trip(station: "Station", trip: "Trip") -> str:
+    words = f" ({trip.code}): {trip.cause.rstrip('.')}. {trip.next_action}"
+    if (error := station.reporter.trip_file.error) is not None:
+        words = f"{words} Besides: {error}."
+    for one in station.axis.lasting:
+        if one.code is not trip.code:
+            words = f"{words} Besides ({one.code}): {one.cause.rstrip('.')}. {one.next_action}"
     return words

@@ -69,7 +69,7 @@ class TripFiles:
     Parameters
     ----------
     folder
-        Where; it is made when it is needed.
+        Where; it is made when it is needed. A relative one is of the service's working directory, now.
     writer
         Writes one and returns its path; :func:`write_file` by default.
 
@@ -82,7 +82,7 @@ class TripFiles:
     """
 
     def __init__(self, folder: Path, writer: Callable[[Path, str, Document, Records], Path] | None = None) -> None:
-        self.folder = folder
+        self.folder = folder.absolute()  # of the service: whoever reads the path stands elsewhere
         self._write_file = writer or write_file
         self.latest: Path | None = None
         self.error: str | None = None
