@@ -14,6 +14,7 @@ from twostage_servo.service.status_line import status_line
 from twostage_servo.service.trip_files import TripFiles
 
 CLOSED = "the bus is closed: socketcan can0 cannot be opened: Network is down"
+SILENT = "no fresh feedback from the drive for 90 ms"
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +51,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Snapshots:
 
 
 @pytest.mark.parametrize("verb", ["disarm", "reset"])
-@pytest.mark.parametrize(("name", "why"), [("closed", CLOSED), ("silent", "no fresh feedback from the drive for 90 ms")])
+@pytest.mark.parametrize(("name", "why"), [("closed", CLOSED), ("silent", SILENT)])
 def test_a_verb_after_which_the_drive_should_be_off_says_that_nobody_knows_whether_it_is(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
