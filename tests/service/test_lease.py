@@ -2,6 +2,7 @@
 
 import asyncio
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -135,15 +136,35 @@ def test_a_lease_is_not_taken_from_one_who_jogs_or_homes(path: Path, request_: d
     )
 
 
-def test_a_refused_command_takes_the_lease_as_well_and_the_end_of_the_connection_frees_it(path: Path) -> None:
+def test_a_refused_command_takes_no_lease_and_loses_none(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         first, second = await connect(path), await connect(path)
-        assert await first.refused(op="move", position=0.0) == "disarmed"
-        assert await second.refused(op="arm") == "lease_held"
-        first.writer.close()
-        await first.writer.wait_closed()
-        await world.seconds(0.01)
+        for request in ({"op": "move", "position": 0.0}, {"op": "jog", "velocity": 1.0}, {"op": "reload"}):
+            assert await first.refused(**request) in {"disarmed", "no_configuration"}
+            assert (await first.done(op="status"))["lease"]["holder"] is None
         await second.done(op="arm")
+        await world.until(lambda: world.state() is State.HOLDING)
+        holder = (await second.done(op="status"))["lease"]["holder"]
+        assert await second.refused(op="move", position=3000.0) == "position_limit"
+        assert (await first.done(op="status"))["lease"]["holder"] == holder
+        assert await first.refused(op="arm") == "lease_held"
+        second.writer.close()
+        await second.writer.wait_closed()
+        await world.seconds(0.01)
+        await first.done(op="disarm")
+        await world.until(lambda: world.axis.ready_to_arm)
+        await first.done(op="arm")
+
+
+def test_a_reload_that_cannot_be_prepared_takes_no_lease(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        async def fail() -> Callable[[], None]:
+            raise Refused("config", "line 3 is wrong")
+
+        world.service.desk.prepare = fail
+        operator = await connect(path)
+        assert await operator.refused(op="reload") == "config"
+        assert (await operator.done(op="status"))["lease"]["holder"] is None
 
     serve(path, script)
 

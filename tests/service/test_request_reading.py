@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from tests.service.operators import connect, serve
 from tests.service.rig import World
+from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.request_reading import LONGEST_LINE, BadRequestError, longest_line, parse_request, rank_of
 from twostage_servo.service.requests import DisarmRequest, MoveRequest, Request, StopRequest
@@ -110,13 +111,30 @@ def test_what_is_nested_deeply_is_refused(depth: int) -> None:
         (b'{"op":"\\u0073top"}', Rank.URGENT),
         (b'{"op":"status","axis":"stop"}', Rank.REQUEST),
         (b'{"op":"move","positions":{"stop":1}}', Rank.REQUEST),
-        (b'{"op":"disarm","op":"status"}', Rank.REQUEST),
     ],
 )
 def test_a_request_is_as_urgent_as_what_it_asks_for(line: bytes, rank: Rank) -> None:
     request = parse_request(line)
     assert rank_of(request) is rank
     assert isinstance(request, StopRequest | DisarmRequest) == (rank is Rank.URGENT)
+
+
+@pytest.mark.parametrize(
+    ("line", "name"),
+    [
+        (b'{"op":"stop","op":"arm"}', "op"),
+        (b'{"op":"stop","o\\u0070":"arm"}', "op"),
+        (b'{"op":"move","position":1,"position":1}', "position"),
+        (b'{"op":"move","positions":{"x":1,"y":2,"x":3}}', "x"),
+    ],
+)
+def test_a_key_that_is_given_twice_is_refused_by_its_name(tmp_path: Path, line: bytes, name: str) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        answer = await (await connect(tmp_path / "s")).send(line)
+        assert answer["error"] == {"code": "bad_request", "message": f"{name} is given twice: give it once"}
+        assert world.state() is State.DISARMED
+
+    serve(tmp_path / "s", script)
 
 
 def test_lines_that_only_speak_of_a_stop_take_no_urgent_turn(tmp_path: Path) -> None:

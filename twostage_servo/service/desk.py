@@ -160,8 +160,8 @@ class Desk:
                 at_rest = all(station.axis.state not in _IN_MOTION for station in self._service.stations)
                 self.lease.take(client, at_rest=at_rest)
             case _:
-                self.lease.demand(client)
-                self._command_as_holder(request, client)
+                with self.lease.demanded(client):
+                    self._command_as_holder(request, client)
 
     def _command_as_holder(self, request: Request, client: str) -> None:
         match request:
@@ -245,15 +245,15 @@ class Desk:
             raise Refused("ending", "the service is ending: nothing but reading is possible any more.")
         if self.prepare is None:
             return
-        self.lease.demand(client)
-        self._check_disarmed()
-        if self._preparing is not None:
-            raise Refused("busy", f"{self._preparing} has asked for `reload` just now: wait for its end.")
-        self._preparing, self._prepared = client, None
-        try:
-            self._prepared = client, await self.prepare()
-        finally:
-            self._preparing = None
+        with self.lease.demanded(client):
+            self._check_disarmed()
+            if self._preparing is not None:
+                raise Refused("busy", f"{self._preparing} has asked for `reload` just now: wait for its end.")
+            self._preparing, self._prepared = client, None
+            try:
+                self._prepared = client, await self.prepare()
+            finally:
+                self._preparing = None
 
     def is_prepared(self, client: str) -> bool:
         """Whether what was prepared for a client's `reload` waits for it."""

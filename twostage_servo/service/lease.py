@@ -1,5 +1,8 @@
 """The operator's lease: one client commands, the rest watch."""
 
+import contextlib
+from collections.abc import Iterator
+
 from twostage_servo.axis.messages import Refused
 
 
@@ -7,7 +10,8 @@ class Lease:
     """Who commands the axis.
 
     A client that commands takes the lease by it, if nobody holds it, and keeps it until it gives it back or its
-    connection ends. So two operators never pull at one axis, and no script has to ask for anything first.
+    connection ends. A command that is refused takes nothing. So two operators never pull at one axis, and no script
+    has to ask for anything first.
 
     Attributes
     ----------
@@ -33,6 +37,24 @@ class Lease:
                 "rest. `stop` and `disarm` are open to everybody.",
             )
         self.holder = client
+
+    @contextlib.contextmanager
+    def demanded(self, client: str) -> Iterator[None]:
+        """Let a client command, and take back what it got by that if its command is refused.
+
+        Raises
+        ------
+        Refused
+            As in :meth:`demand`.
+        """
+        held = self.holder == client
+        self.demand(client)
+        try:
+            yield
+        except Refused:
+            if not held:
+                self.release(client)
+            raise
 
     def take(self, client: str, *, at_rest: bool) -> None:
         """Let a client command in place of the holder.

@@ -62,7 +62,11 @@ def parse_request(line: bytes) -> Request:
         If it holds none.
     """
     try:
-        fields = from_json(line)
+        fields = from_json(line)  # which bounds the depth, and wants UTF-8
+        if b":" in line:
+            json.loads(line.decode(), object_pairs_hook=_each_key_once)
+    except BadRequestError:
+        raise
     except ValueError as error:
         raise BadRequestError(f"invalid JSON: {error}") from error
     if not isinstance(fields, dict):
@@ -79,6 +83,15 @@ def parse_request(line: bytes) -> Request:
         return typing.cast("Request", model.model_validate(fields))
     except ValidationError as error:
         raise BadRequestError(_explain(error)) from error
+
+
+def _each_key_once(pairs: list[tuple[str, Any]]) -> None:
+    """Refuse an object that says the same key twice: of `stop` and `arm` only one would be heard."""
+    names = set()
+    for name, _ in pairs:
+        if name in names:
+            raise BadRequestError(f"{_short(name)} is given twice: give it once")
+        names.add(name)
 
 
 def rank_of(request: Request) -> Rank:
