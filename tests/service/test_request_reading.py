@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import gc
 import json
 import sys
 from collections.abc import AsyncIterator
@@ -53,12 +54,14 @@ def calls_of(line: bytes) -> int:
         nonlocal calls
         calls += event == "call"
 
+    gc.disable()  # whose callbacks are functions as well
     sys.setprofile(count)
     try:
         with pytest.raises(BadRequestError):
             parse_request(line)
     finally:
         sys.setprofile(None)
+        gc.enable()
     return calls
 
 
