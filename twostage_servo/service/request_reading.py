@@ -62,11 +62,7 @@ def parse_request(line: bytes) -> Request:
         If it holds none.
     """
     try:
-        fields = from_json(line)  # which bounds the depth, and wants UTF-8
-        if b":" in line:
-            json.loads(line.decode(), object_pairs_hook=_each_key_once)
-    except BadRequestError:
-        raise
+        fields = from_json(line)
     except ValueError as error:
         raise BadRequestError(f"invalid JSON: {error}") from error
     if not isinstance(fields, dict):
@@ -80,9 +76,12 @@ def parse_request(line: bytes) -> Request:
     if problems:
         raise BadRequestError("; ".join(problems))
     try:
-        return typing.cast("Request", model.model_validate(fields))
+        request = typing.cast("Request", model.model_validate(fields))
     except ValidationError as error:
         raise BadRequestError(_explain(error)) from error
+    # Last, since it is a call for each object in the line: what is a request otherwise has one or two of them.
+    json.loads(line.decode(), object_pairs_hook=_each_key_once)
+    return request
 
 
 def _each_key_once(pairs: list[tuple[str, Any]]) -> None:
