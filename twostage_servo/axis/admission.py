@@ -7,12 +7,18 @@ from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import Event, State, next_state
 from twostage_servo.axis.trips import Trip
+from twostage_servo.exact import exact
 
 Obstacle = tuple[str, str]
 """Code and text of a refusal."""
 
 LARGEST_POSITION = 1e9
 """Largest magnitude that a position may be given, in axis unit."""
+
+_STANDSTILL_S = 3600.0
+"""An axis that does not go a step of its encoder in this time stands still, whatever speed it was asked for."""
+_STANDSTILL_SHARE = 1e-12
+"""Share of the velocity limit that is no speed either, where the encoder has no steps."""
 
 
 class Admission:
@@ -24,9 +30,17 @@ class Admission:
         Limits and units.
     drive
         What the drive reports.
+    resolution
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+
+    Attributes
+    ----------
+    slowest
+        Smallest speed that is one, in axis unit/s.
     """
 
-    def __init__(self, design: AxisDesign, drive: DriveReport) -> None:
+    def __init__(self, design: AxisDesign, drive: DriveReport, resolution: float = 0.0) -> None:
+        self.slowest = slowest_velocity(design, resolution)
         self._unit = design.settings.unit
         self._limits = design.settings.limits
         self._drive = drive
@@ -66,12 +80,18 @@ class Admission:
         raise Refused("busy", f"the axis is {state}: wait until it holds.")
 
     def check_velocity(self, velocity: float, largest: float) -> None:
-        """Refuse a speed that is no positive number, or too large; both in axis unit/s."""
+        """Refuse a speed that is no positive number, too large, or so small that it is none; both in axis unit/s."""
         if not (math.isfinite(velocity) and 0.0 < velocity <= largest):
             raise Refused(
                 "velocity_limit",
-                f"velocity {velocity:g} {self._unit}/s: it must be greater than 0 and at most {largest:g} "
+                f"velocity {exact(velocity)} {self._unit}/s: it must be greater than 0 and at most {largest:g} "
                 f"{self._unit}/s.",
+            )
+        if velocity < self.slowest:
+            raise Refused(
+                "velocity_limit",
+                f"velocity {exact(velocity)} {self._unit}/s: at less than {self.slowest:.3g} {self._unit}/s the axis "
+                "would not go a step of its encoder in an hour.",
             )
 
     def check_target(self, target: float, *, referenced: bool) -> None:
@@ -79,7 +99,7 @@ class Admission:
         if not (math.isfinite(target) and self.is_inside(target)):
             raise Refused(
                 "position_limit",
-                f"set-point {target:g} {self._unit}: it must lie from {self._limits.position_minimum:g} to "
+                f"set-point {exact(target)} {self._unit}: it must lie from {self._limits.position_minimum:g} to "
                 f"{self._limits.position_maximum:g} {self._unit}.",
             )
         if not referenced:
@@ -97,7 +117,7 @@ class Admission:
         """
         if not (math.isfinite(position) and abs(position) <= LARGEST_POSITION):
             raise Refused(
-                "position_limit", f"position {position:g}: a finite number up to {LARGEST_POSITION:g} is needed."
+                "position_limit", f"position {exact(position)}: a finite number up to {LARGEST_POSITION:g} is needed."
             )
         if self._drive.position is None or self._drive.is_stale:
             raise Refused("no_feedback", "there is no fresh feedback from the drive.")
@@ -112,3 +132,8 @@ class Admission:
 def say_tripped(trip: Trip) -> str:
     """Return the sentence that an operator is refused with after a trip."""
     return f"the axis has tripped ({trip.code}): {trip.cause.rstrip('.')}."
+
+
+def slowest_velocity(design: AxisDesign, resolution: float) -> float:
+    """Return the smallest speed that an axis can be asked for, in axis unit/s; `resolution` in axis unit."""
+    return max(resolution / _STANDSTILL_S, _STANDSTILL_SHARE * design.settings.limits.velocity)

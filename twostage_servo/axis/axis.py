@@ -198,6 +198,11 @@ class Axis(Machine):
             self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
 
     @property
+    def slowest_velocity(self) -> float:
+        """Smallest speed that a set-point is taken with, in axis unit/s."""
+        return self._admission.slowest
+
+    @property
     def can_stop(self) -> bool:
         """Whether a stop is admitted."""
         return next_state(self.state, Event.STOP) is not None

@@ -75,7 +75,7 @@ class Machine:
         self.disabled = DisabledDriveWatch(design, resolution, report_period_ms)
         self.motion = Motion(design, self.drive, resolution)
         self.supervision = Supervision(design, self.motion)
-        self._admission = Admission(design, self.drive)
+        self._admission = Admission(design, self.drive, resolution)
         self.referenced = not self.settings.homing.required
         self.trip: Trip | None = None
         self.escalation: Trip | None = None

@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from twostage_servo.exact import exact
 from twostage_servo.settings import Settings, quantity
 
 
@@ -21,7 +22,7 @@ class PlantSettings(Settings):
     @model_validator(mode="after")
     def _drivable(self) -> Self:
         if abs(self.gain) < 1e-9:
-            raise ValueError(f"gain = {self.gain:g}: effort would not move this plant; give its gain, such as 180")
+            raise ValueError(f"gain = {exact(self.gain)}: effort would not move this plant; give its gain, such as 180")
         return self
 
 
@@ -145,22 +146,23 @@ class LimitSettings(Settings):
     def _consistent(self) -> Self:
         if self.position_minimum >= self.position_maximum:
             raise ValueError(
-                f"position_minimum = {self.position_minimum:g} is not below position_maximum = "
-                f"{self.position_maximum:g}; exchange or correct them"
+                f"position_minimum = {exact(self.position_minimum)} is not below position_maximum = "
+                f"{exact(self.position_maximum)}; exchange or correct them"
             )
         if self.quick_stop_deceleration < self.acceleration:
             raise ValueError(
-                f"quick_stop_deceleration = {self.quick_stop_deceleration:g} is below acceleration = "
-                f"{self.acceleration:g}: a quick stop must not be gentler than an ordinary one"
+                f"quick_stop_deceleration = {exact(self.quick_stop_deceleration)} is below acceleration = "
+                f"{exact(self.acceleration)}: a quick stop must not be gentler than an ordinary one"
             )
         if self.overspeed <= self.velocity:
             raise ValueError(
-                f"overspeed = {self.overspeed:g} is not above velocity = {self.velocity:g}, so an ordinary cruise "
-                f"would trip; about {1.25 * self.velocity:g} is usual"
+                f"overspeed = {exact(self.overspeed)} is not above velocity = {exact(self.velocity)}, so an ordinary "
+                f"cruise would trip; about {1.25 * self.velocity:g} is usual"
             )
         if self.jam_effort > self.effort:
             raise ValueError(
-                f"jam_effort = {self.jam_effort:g} is above effort = {self.effort:g}, so a jam would never be noticed"
+                f"jam_effort = {exact(self.jam_effort)} is above effort = {exact(self.effort)}, so a jam would never "
+                "be noticed"
             )
         return self
 
@@ -258,16 +260,18 @@ class AxisSettings(Settings):
     def _cruise_within_limits(self) -> Self:
         if self.cruise_velocity > self.limits.velocity:
             raise ValueError(
-                f"cruise_velocity = {self.cruise_velocity:g} is above limits.velocity = {self.limits.velocity:g}: lower"
+                f"cruise_velocity = {exact(self.cruise_velocity)} is above limits.velocity = "
+                f"{exact(self.limits.velocity)}: lower it"
             )
         for name in ("velocity", "slow_velocity"):
             if getattr(self.homing, name) > self.limits.velocity:
                 raise ValueError(
-                    f"homing.{name} = {getattr(self.homing, name):g} is above limits.velocity = "
-                    f"{self.limits.velocity:g}: lower it"
+                    f"homing.{name} = {exact(getattr(self.homing, name))} is above limits.velocity = "
+                    f"{exact(self.limits.velocity)}: lower it"
                 )
         if self.homing.effort > self.limits.effort:
             raise ValueError(
-                f"homing.effort = {self.homing.effort:g} is above limits.effort = {self.limits.effort:g}: lower it"
+                f"homing.effort = {exact(self.homing.effort)} is above limits.effort = {exact(self.limits.effort)}: "
+                "lower it"
             )
         return self

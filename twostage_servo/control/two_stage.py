@@ -292,6 +292,8 @@ class TwoStageLaw:
         rate = self._largest_step * abs(self.observer.plant.b2)
         if isinf(rate):
             return inf
+        if speed <= rate:  # all of it in one step; the formula says so too, but for what its difference cancels
+            return speed
         return sqrt(0.25 * rate * rate + 2.0 * rate * speed) - 0.5 * rate
 
     def _speed_stage_ends(self) -> bool:

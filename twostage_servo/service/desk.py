@@ -231,7 +231,7 @@ class Desk:
             axis.check_move(position, speed)
             moves.append((axis, position, speed))
         for (axis, position, _), speed in zip(moves, velocities_to_arrive_together(moves), strict=True):
-            axis.move_to(position, speed)
+            axis.move_to(position, max(speed, axis.slowest_velocity))  # a short way beside a very long one
 
     async def prepare_reload(self, client: str) -> None:
         """Do ahead of a client's `reload` what takes longer than a tick; the request itself is to follow.
