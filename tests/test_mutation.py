@@ -1,6 +1,7 @@
 """The mutation testing chooses what it tries the same every time, and goes on from what it has kept."""
 
 import json
+import subprocess
 import sys
 from pathlib import Path
 
@@ -10,9 +11,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
 from mutation.limits import LEAST_CPU_S, OTHERWISE_CPU_S, TIMES, allowed_s
 from mutation.mutant import Mutant
+from mutation.reach import OUTPUT, KeptReach, Reach
 from mutation.results import KeptResults, digest, in_order, share_of, with_status
 from mutation.rooms import ROOMS, Room, files_of, paths_of_tests
-from mutation.run import TREE, make_plan, share, summarise
+from mutation.run import make_plan, share
+from mutation.summary import summarise
+from mutation.trees import TREE, environment
 
 KEYS = [f"service.loop:f{number}: - a + b" for number in range(1000)]
 
@@ -80,7 +84,8 @@ def test_a_test_may_take_a_multiple_of_what_it_took_unmutated() -> None:
 
 
 def kept(tree: Path) -> KeptResults:
-    return KeptResults(tree / "kept.jsonl", tree, ["tests/service"])
+    sources = [mutant().path] if (tree / mutant().path).exists() else []
+    return KeptResults.of(tree / "kept.jsonl", tree, sources, ["tests/service"])
 
 
 def test_a_verdict_counts_until_its_file_changes(tree: Path) -> None:
@@ -102,6 +107,14 @@ def test_a_survivor_counts_until_the_tests_change(tree: Path) -> None:
     assert kept(tree).load() == {mutant().key: "killed"}
 
 
+def test_a_survivor_of_earlier_tests_counts_where_nothing_shall_be_tried_again(tree: Path) -> None:
+    kept(tree).keep(mutant(status="survived"))
+    (tree / "tests/service/test_more.py").write_text("a = 2\n")
+    assert kept(tree).load(settled=True) == {mutant().key: "survived"}
+    (tree / "twostage_servo/service/loop.py").write_text("a = 2\n")
+    assert kept(tree).load(settled=True) == {}
+
+
 def test_the_last_verdict_of_a_mutant_is_the_one_that_counts(tree: Path) -> None:
     for status in ("killed", "survived"):
         kept(tree).keep(mutant(status=status))
@@ -115,7 +128,7 @@ def test_a_file_that_is_gone_has_no_verdict(tree: Path) -> None:
 
 
 def test_nothing_is_kept_without_a_file(tree: Path) -> None:
-    nowhere = KeptResults(None, tree, ["tests/service"])
+    nowhere = KeptResults.of(None, tree, [mutant().path], ["tests/service"])
     nowhere.keep(mutant())
     assert nowhere.load() == {}
 
@@ -144,7 +157,7 @@ def test_a_plan_takes_what_was_kept_and_what_has_a_reason_for_known(tmp_path: Pa
     again.write_text(json.dumps({"survivors": [{"key": "k"}]}))
 
     class Options:
-        all, quick, minutes, sample, share, seed = False, True, 2.0, 150, (1, 3), 7
+        all, seconds, minutes, sample, share, seed = False, 20.0, 2.0, 150, (1, 3), 7
         again: Path | None = None
 
     options = Options()
@@ -154,3 +167,81 @@ def test_a_plan_takes_what_was_kept_and_what_has_a_reason_for_known(tmp_path: Pa
     options.all, options.again = True, again
     plan = make_plan(options, {"a": "equivalent"}, {})  # type: ignore[arg-type]
     assert (plan["known"], plan["only"]) == ({}, ["k"])
+
+
+# Which tests a mutant is tried with -----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def counted(tmp_path: Path) -> Path:
+    """A tree with a module, two files of tests, and what they share."""
+    files = {
+        "twostage_servo/__init__.py": "",
+        "twostage_servo/counter.py": "\n".join(
+            [
+                "class Counter:",
+                "    def up(self): return (lambda: one() + 1)()",
+                "def one(): return 1",
+                "def two(): return 2",
+                "def never(): return 3",
+                "TWO = two()",
+            ]
+        ),
+        "tests/__init__.py": "",
+        "tests/test_counter.py": "from twostage_servo.counter import Counter\n"
+        "def test_up(): assert Counter().up() == 2\n",
+        "tests/test_more.py": "import threading\nfrom twostage_servo import counter\ndef test_thread():\n"
+        "    thread = threading.Thread(target=counter.one)\n    thread.start()\n    thread.join()\n",
+        "pyproject.toml": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+def learn(tree: Path) -> KeptReach:
+    kept = KeptReach(tree / "reach.json", tree, ["tests"])
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "mutation.reach", "-p", "no:cacheprovider", *kept.unknown()]
+    environ = environment(tree, tree / "none") | {OUTPUT: str(tree / "found.json")}
+    subprocess.run(command, cwd=tree, env=environ, check=True, capture_output=True)  # noqa: S603 - fixed
+    kept.add(json.loads((tree / "found.json").read_text()))
+    return kept
+
+
+def test_it_is_known_which_functions_a_test_calls_in_any_thread_and_which_its_import_does(counted: Path) -> None:
+    reach = learn(counted).reach()
+    module, up, thread = (
+        "twostage_servo/counter.py",
+        "tests/test_counter.py::test_up",
+        "tests/test_more.py::test_thread",
+    )
+    assert reach.tests[f"{module}:Counter.up"] == [up]
+    assert reach.tests[f"{module}:one"] == [up, thread]
+    assert f"{module}:never" not in reach.tests
+    assert f"{module}:two" in reach.at_import
+    assert set(reach.took_s) == {up, thread}
+
+
+def test_only_files_of_tests_that_have_changed_are_run_unmutated_again(counted: Path) -> None:
+    learn(counted)
+
+    def unknown() -> list[str]:
+        return KeptReach(counted / "reach.json", counted, ["tests"]).unknown()
+
+    assert unknown() == []
+    (counted / "tests/test_more.py").write_text("def test_nothing(): pass\n")
+    assert unknown() == ["tests/test_more.py"]
+    (counted / "twostage_servo/counter.py").write_text("def one(): return 1\n")
+    assert unknown() == ["tests/test_counter.py", "tests/test_more.py"]
+
+
+def test_the_tests_that_bear_the_name_go_first_then_the_quickest_as_long_as_there_is_time() -> None:
+    named, quick, slow, other = "t/test_lease.py::a", "t/test_x.py::b", "t/test_x.py::c", "t/test_x.py::d"
+    took_s = {named: 3.0, quick: 1.0, slow: 5.0, other: 0.1}
+    reach = Reach(took_s, {"service/lease.py:take": [slow, quick, named], "service/lease.py:f": [quick]}, frozenset())
+    assert reach.chosen("service/lease.py", "take", 100.0) == [named, quick, slow]
+    assert reach.chosen("service/lease.py", "take", 4.5) == [named, quick]
+    assert reach.chosen("service/lease.py", "take", 0.0) == [named]
+    assert reach.chosen("service/lease.py", "", 100.0) == [named, quick, slow]  # outside functions: all of the file's
+    assert reach.chosen("service/lease.py", "in_another_process", 100.0) == [named, quick, slow]

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator
 
 import pytest
+import structlog
 
 from tests.service.rig import World, simulate
 from twostage_servo.axis.state import State
@@ -195,3 +196,43 @@ def test_in_another_thread_than_the_main_one_nothing_is_caught() -> None:
     thread = threading.Thread(target=enter)
     thread.start()
     thread.join()
+
+
+@pytest.mark.parametrize(
+    ("number", "level", "name"),
+    [
+        (signal.SIGTERM, "info", "SIGTERM"),
+        (signal.SIGINT, "info", "SIGINT"),
+        (signal.SIGHUP, "warning", "SIGHUP"),
+        (signal.SIGRTMIN + 3, "warning", "SIGRTMIN+3"),
+    ],
+)
+def test_the_log_says_on_which_signal_the_service_ends(number: int, level: str, name: str) -> None:
+    with structlog.testing.capture_logs() as logs:
+        send_in_mid_move(number)
+    told = [line for line in logs if line["event"] == "ending on a signal"]
+    assert told == [{"event": "ending on a signal", "log_level": level, "signal": name}]
+
+
+def test_that_it_was_not_suspended_is_told_with_what_ends_it() -> None:
+    async def script(world: World) -> None:
+        signals.call(world.service.shut_down, asyncio.get_running_loop())
+        signal.raise_signal(signal.SIGTSTP)
+        await world.seconds(0.1)
+
+    with EndingSignals() as signals, structlog.testing.capture_logs() as logs:
+        simulate(script)
+        signal.raise_signal(signal.SIGTSTP)  # when the loop is closed there is nothing to tell any more
+    (told,) = [line for line in logs if "signal" in line]
+    assert (told["log_level"], told["signal"]) == ("warning", "SIGTSTP")
+    assert "SIGTERM or Ctrl-C ends it" in told["event"]
+
+
+def test_one_that_comes_when_the_loop_is_closed_decides_on_the_exit_code_alone() -> None:
+    async def script(world: World) -> None:
+        signals.call(world.service.shut_down, asyncio.get_running_loop())
+
+    with EndingSignals() as signals:
+        simulate(script)
+        signal.raise_signal(signal.SIGHUP)
+    assert signals.exit_code == 129

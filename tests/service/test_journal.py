@@ -21,7 +21,8 @@ from twostage_servo.service.log import open_log
 def address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where the journal's socket is."""
     path = tmp_path / "socket"
-    monkeypatch.setattr(JournalStream.__init__, "__defaults__", (str(path),))
+    begin = JournalStream.__init__
+    monkeypatch.setattr(JournalStream, "__init__", lambda stream, spare: begin(stream, spare, path))
     return path
 
 

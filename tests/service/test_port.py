@@ -1,12 +1,15 @@
 """A bus as the service runs it, where the ticks are late."""
 
+import asyncio
 import errno
 
 import pytest
+import structlog
 
 from tests.service.rig import BUS
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.service.port import Port
+from twostage_servo.simulation.virtual_clock import run
 from twostage_servo.ticks import Tick
 
 
@@ -45,3 +48,73 @@ def test_an_interface_without_carrier_is_looked_at_again_before_it_counts_as_bus
     assert lost == []
     port.publish(Tick(101, 1.01, 0.0, 0))
     assert [getattr(error.__cause__, "errno", None) for error in lost] == ([] if then is None else [then])
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_bus_that_does_not_close_is_waited_for_a_second_and_told(
+    monkeypatch: pytest.MonkeyPatch, *, hangs: bool
+) -> None:
+    async def close() -> float:
+        loop = asyncio.get_running_loop()
+        closing = loop.create_future()
+        if not hangs:
+            loop.call_later(0.5, closing.set_result, None)
+        link = Link(BUS, [])
+        monkeypatch.setattr(link, "let_go", lambda: closing)
+        await Port(link, [], 0.01).close()
+        return loop.time()
+
+    with structlog.testing.capture_logs() as logs:
+        assert run(close()) == pytest.approx(1.0 if hangs else 0.5)
+    told = {"event": "the bus does not close", "log_level": "warning", "bus": "can0", "waited_s": 1.0}
+    assert logs == ([told] if hangs else [])
+
+
+def test_attempts_to_open_the_bus_are_the_reopen_interval_apart_also_those_that_succeed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    attempts_s: list[float] = []
+
+    async def script() -> None:
+        loop = asyncio.get_running_loop()
+        link = Link(BUS, [])
+        port = Port(link, [], 0.01)
+
+        async def open_in_thread() -> None:
+            attempts_s.append(loop.time())
+            if len(attempts_s) < 3:
+                raise LinkError("no such device")
+
+        monkeypatch.setattr(link, "open_in_thread", open_in_thread)
+        monkeypatch.setattr(link, "let_go", lambda: None)
+        port.start()
+        await asyncio.sleep(10.0)
+        assert port.error is None
+        port._lose(LinkError("network is down"))
+        await asyncio.sleep(10.0)
+        await port.close()
+
+    run(script())
+    interval_s = BUS.reopen_interval_ms / 1e3
+    assert attempts_s[0] == 0.0
+    assert attempts_s[1:3] == pytest.approx([interval_s, 2.0 * interval_s])
+    assert attempts_s[3] == pytest.approx(10.0)
+
+
+def test_after_missed_ticks_as_much_more_is_read_up_to_ten(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    link = Link(BUS, [])
+    port = Port(link, [], 0.01)
+
+    def drain(most: int) -> list[object]:
+        asked.append(most)
+        return []
+
+    monkeypatch.setattr(link, "drain", drain)
+    port.read(Tick(0, 0.0, 0.0, 0))
+    assert asked == []  # it is not open
+    port.error = None
+    for missed in (0, 1, 10, 11, 1000):
+        port.read(Tick(0, 0.0, 0.0, missed))
+    usual = BUS.frames_read(0.01)
+    assert asked == [usual, 2 * usual, 11 * usual, 11 * usual, 11 * usual]

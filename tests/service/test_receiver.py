@@ -1,14 +1,20 @@
 """What is heard in frames that are not as they should be."""
 
 import math
+from typing import Any, cast
 
 import can
 import pytest
 
-from tests.service.rig import World, simulate
+from tests.service.rig import BUS, World, simulate
+from twostage_servo.axis.messages import Feedback as Taken
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.canbus.link import Link
 from twostage_servo.canbus.profile import Feedback, FrameRejected, PositionRejected
+from twostage_servo.service.receiver import Receiver
+from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.ticks import Tick
 
 NOWHERE = Feedback(math.nan, 0, enabled=True, fault=False, fault_code=0)
 
@@ -90,3 +96,153 @@ def test_a_wrong_checksum_is_not_heard_at_all() -> None:
         assert world.axis.drive.fault_code is None
 
     simulate(script)
+
+
+# What a frame means ---------------------------------------------------------------------------------------------------
+
+
+class Frames:
+    """A drive's frames, all of which are the same feedback."""
+
+    def __init__(self, feedback: Feedback) -> None:
+        self._feedback = feedback
+        self.state_texts: dict[int, str] = {}
+
+    def is_feedback(self, _: can.Message) -> bool:
+        return True
+
+    def decode_feedback(self, _: can.Message) -> Feedback:
+        return self._feedback
+
+
+class TakingAxis:
+    """An axis that keeps what it is given."""
+
+    def __init__(self, state: State = State.HOLDING) -> None:
+        self.state = state
+        self.taken: list[Taken] = []
+
+    def take_feedback(self, feedback: Taken) -> None:
+        self.taken.append(feedback)
+
+
+def taken(
+    feedback: Feedback,
+    state: State = State.HOLDING,
+    *,
+    dated: bool = False,
+    sent_s: float | None = None,
+    lateness_s: float = 0.0,
+    link: Link | None = None,
+) -> Taken:
+    """Return what an axis is given of a frame in the tick whose deadline is at 1 s."""
+
+    async def take() -> Taken:
+        receiver = Receiver(cast("Any", Frames(feedback)), 0.01, dated=dated)
+        axis = TakingAxis(state)
+        receiver.begin_tick(Tick(100, 1.0, lateness_s, 0), sent_s)
+        receiver.take(can.Message(), cast("Any", axis), link or Link(BUS, []))
+        return axis.taken[0]
+
+    return run(take())
+
+
+HERE = Feedback(12.5, 7, enabled=True, fault=False, fault_code=None)
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "seen", "faulted"),
+    [
+        (True, 4, 4, True),
+        (True, None, 0, True),
+        (None, 4, 4, True),
+        (None, 0, None, False),
+        (None, None, None, None),
+        (False, 4, None, False),  # a code that has not been cleared yet
+        (False, None, None, False),
+    ],
+)
+def test_a_drive_has_a_fault_if_it_says_so_or_where_it_has_no_bit_for_that_by_its_code(
+    fault: bool | None, code: int | None, seen: int | None, faulted: bool | None
+) -> None:
+    feedback = taken(HERE._replace(fault=fault, fault_code=code))
+    assert (feedback.fault_code, feedback.faulted) == (seen, faulted)
+    assert (feedback.position, feedback.counter, feedback.enabled) == (12.5, 7, True)
+
+
+@pytest.mark.parametrize(
+    ("state", "fault", "seen", "faulted"),
+    [
+        (State.HOLDING, False, 0, None),
+        (State.DISARMED, False, None, None),  # where no command is needed
+        (State.DISARMED, True, 0, True),
+    ],
+)
+def test_a_time_out_of_commands_is_a_fault_of_an_axis_that_is_driven_alone(
+    state: State, fault: bool, seen: int | None, faulted: bool | None
+) -> None:
+    feedback = taken(HERE._replace(fault=fault, command_timeout=True), state)
+    assert (feedback.fault_code, feedback.faulted) == (seen, faulted)
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_each_input_of_a_drive_is_that_input_of_the_axis(*, at_once: bool) -> None:
+    names = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
+    for name in names:
+        given = dict.fromkeys(names, not at_once) | {name: at_once}
+        feedback = taken(HERE._replace(**given))
+        assert {one: getattr(feedback, one) for one in names} == given
+
+
+def test_a_sample_is_as_old_as_the_command_that_it_answers() -> None:
+    assert taken(HERE).age_s is None  # before the first one
+    assert taken(HERE, sent_s=0.9902, lateness_s=0.003).age_s == pytest.approx(0.0098)
+
+
+@pytest.mark.parametrize(("sent_s", "unasked"), [(None, False), (0.99, False), (0.9899, False), (0.9797, True)])
+def test_a_drive_that_was_not_asked_for_longer_than_a_period_may_have_reported_by_itself(
+    sent_s: float | None, *, unasked: bool
+) -> None:
+    assert taken(HERE, sent_s=sent_s).unasked is unasked
+    assert taken(HERE, sent_s=sent_s, dated=True).unasked is False  # which reports as it likes
+    if sent_s is not None:
+        assert taken(HERE, sent_s=sent_s, lateness_s=0.005).unasked is True  # nor had been when this tick began
+
+
+def test_where_the_bus_dates_its_frames_a_drive_of_its_own_rhythm_is_dated_by_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    link = Link(BUS, [])
+    assert taken(HERE, dated=True, sent_s=0.99, link=link).age_s is None
+    monkeypatch.setattr(link, "age_s", lambda _: 0.004)
+    assert taken(HERE, dated=True, sent_s=0.99, lateness_s=0.001, link=link).age_s == pytest.approx(0.003)
+    assert taken(HERE, dated=False, sent_s=0.99, lateness_s=0.001, link=link).age_s == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("waited_s", "late"), [(None, False), (0.0, False), (0.0049, False), (0.0051, True)])
+def test_a_frame_that_has_waited_for_more_than_half_a_period_does_not_say_how_things_are_now(
+    monkeypatch: pytest.MonkeyPatch, waited_s: float | None, *, late: bool
+) -> None:
+    link = Link(BUS, [])
+    monkeypatch.setattr(link, "waited_s", lambda _: waited_s)
+    assert taken(HERE, link=link).late is late
+    link.is_behind = True
+    assert taken(HERE, link=link).late is True
+
+
+def test_how_old_the_frames_were_and_when_the_latest_came_is_known_where_the_bus_dates_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def take() -> None:
+        receiver, axis, link = Receiver(cast("Any", Frames(HERE)), 0.01, dated=False), TakingAxis(), Link(BUS, [])
+        receiver.begin_tick(Tick(0, 0.0, 0.0, 0), None)
+        receiver.take(can.Message(), cast("Any", axis), link)
+        assert (receiver.arrived_s, receiver.frame_age.count) == (None, 0)
+        monkeypatch.setattr(link, "age_s", lambda _: 0.002)
+        receiver.take(can.Message(), cast("Any", axis), link)
+        assert receiver.arrived_s == pytest.approx(-0.002)
+        assert receiver.frame_age.largest_us == pytest.approx(2000.0)
+        receiver.begin_tick(Tick(1, 0.01, 0.0, 0), 0.0)
+        assert receiver.arrived_s is None
+
+    run(take())

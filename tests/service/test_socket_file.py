@@ -6,9 +6,12 @@ import os
 import shutil
 import socket
 import threading
+from collections.abc import MutableMapping
 from pathlib import Path
+from typing import Any
 
 import pytest
+import structlog
 
 from tests.service.operators import connect, serve
 from tests.service.rig import World, simulate
@@ -178,35 +181,74 @@ def test_a_path_that_another_service_has_taken_meanwhile_is_left_to_it_until_tha
     serve(path, script)
 
 
-def test_a_path_that_cannot_be_made_again_is_told_once_and_tried_again(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async def script(world: World, control: ControlSocket) -> None:
-        told: list[str] = []
-        monkeypatch.setattr(control._file, "_log", Told(told))
+def test_a_path_that_cannot_be_made_again_is_told_once_and_tried_again(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
         shutil.rmtree(path.parent)
         path.parent.write_text("no folder", encoding="utf-8")
         await world.seconds(5.0)
-        assert told == ["error"]
+        assert len(told()) == 1
         path.parent.unlink()
         await world.seconds(2.0)
-        assert told == ["error", "warning"]
         await (await connect(path)).done(op="status")
+        shutil.rmtree(path.parent)
+        path.parent.write_text("no folder", encoding="utf-8")
+        await world.seconds(5.0)
+        assert len(told()) == 3  # a trouble that has come back is told again
+        path.parent.unlink()
+        await world.seconds(2.0)
 
-    serve(path, script)
+    def told() -> list[MutableMapping[str, Any]]:
+        return [line for line in logs if str(line["event"]).startswith("the control socket")]
+
+    with structlog.testing.capture_logs() as logs:
+        serve(path, script)
+    cannot, made, *again = told()
+    assert again == [cannot, made]
+    assert "File exists" in cannot.pop("error")
+    assert cannot == {
+        "event": "the control socket is gone and cannot be made again: no new client can connect", "log_level": "error",
+        "room": "control_socket", "socket": str(path),
+    }  # fmt: skip
+    assert made == {
+        "event": "the control socket was gone, and has been made again", "log_level": "warning",
+        "room": "control_socket", "socket": str(path),
+    }  # fmt: skip
 
 
-class Told:
-    """A log that keeps the levels of what it is told."""
+def test_the_lock_is_given_up_where_the_socket_cannot_be_made(path: Path) -> None:
+    path.parent.mkdir()
+    path.touch()
+    file = SocketFile(path, 1)
+    with pytest.raises(SocketInUseError, match="is not a socket; remove it"):
+        file.bind()
+    path.unlink()
+    other = SocketFile(path, 1)
+    other.bind().close()
+    other.remove()
+    assert list(path.parent.iterdir()) == []
 
-    def __init__(self, levels: list[str]) -> None:
-        self._levels = levels
 
-    def error(self, *_: object, **__: object) -> None:
-        self._levels.append("error")
+def test_nobody_can_open_the_lock_but_its_owner_and_nobody_is_led_elsewhere_by_it(path: Path) -> None:
+    lock = path.with_name("control.sock.lock")
+    file = SocketFile(path, 1)
+    file.bind().close()
+    assert lock.stat().st_mode & 0o777 == 0o600
+    file.remove()
+    lock.symlink_to(path.parent / "elsewhere")
+    with pytest.raises(OSError, match="Too many levels of symbolic links"):
+        SocketFile(path, 1).bind()
+    assert not (path.parent / "elsewhere").exists()
 
-    def warning(self, *_: object, **__: object) -> None:
-        self._levels.append("warning")
+
+def test_the_mask_for_new_files_is_what_it_was(path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        file = SocketFile(path, 1)
+        file.bind().close()
+        file.remove()
+        assert os.umask(0o027) == 0o027
+    finally:
+        os.umask(before)
 
 
 def test_one_that_was_never_started_removes_nothing(path: Path) -> None:

@@ -253,6 +253,17 @@ def test_only_so_many_files_are_kept_and_the_new_one_is_among_them(tmp_path: Pat
     assert (tmp_path / "notes.txt").exists()
 
 
+def test_a_folder_that_has_to_be_made_is_not_for_everybody(tmp_path: Path) -> None:
+    folder = tmp_path / "state" / "trips"
+    before = os.umask(0o022)
+    try:
+        write_several(folder, "x")
+    finally:
+        os.umask(before)
+    assert folder.stat().st_mode & 0o777 == 0o750
+    assert only_file(folder).stat().st_mode & 0o777 == 0o644
+
+
 def test_where_they_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)

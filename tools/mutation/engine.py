@@ -3,21 +3,25 @@
 ``engine.py CORES PLAN RESULTS FILE...`` mutates the files, runs mutmut, and writes one JSON object a mutant to RESULTS.
 PLAN is JSON: what became of a mutant whose key is under ``known`` is taken from there, and it is not tried; ``only``,
 unless null, names the keys to look at, ``sample`` how many of them, ``share`` which part, ``seed`` in which order; what
-becomes of each is written to the file ``progress`` at once; after ``most_s`` seconds no other is begun; with ``quick``
-what survived has survived.
+becomes of each is added to ``kept`` at once; after ``most_s`` seconds no other is begun. ``reach`` is
+what :mod:`reach` found, and ``most_tests_s`` how long the tests of a mutant may take unmutated, all together.
 
 mutmut's own operators are used but for the strings, with three added: a comparison is negated, a condition is negated,
 and an ``and`` or ``or`` loses either side. Places that mutmut leaves out are taken in. A property is written as an
 assignment first, which mutmut can mutate. Numbers, signs and conditions outside functions, in constants and defaults,
-are given out with status ``fresh``, for :mod:`mutation.run` to try in processes of their own; so is what survived or
-had no tests, because mutmut forks after the import and does not see what a mutant changes at the import of a test.
+are given out with status ``fresh``, for :mod:`mutation.run` to try in processes of their own; so is what survived of a
+function that the import of the tests calls, because mutmut forks after it and does not see what a mutant changes there.
 """
 
+import contextlib
 import dataclasses
 import difflib
 import importlib
 import json
+import os
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -27,7 +31,8 @@ from typing import Any
 sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 from mutation.mutant import Mutant  # noqa: E402 - found by the path above
-from mutation.results import in_order, share_of  # noqa: E402 - likewise
+from mutation.reach import Reach  # noqa: E402 - likewise
+from mutation.results import KeptResults, in_order, share_of  # noqa: E402 - likewise
 
 cst: Any = importlib.import_module("libcst")
 file_mutation: Any = importlib.import_module("mutmut.mutation.file_mutation")
@@ -144,46 +149,92 @@ def _is_of_interest_outside(mutation: Any, module: Any) -> bool:
     return "property(" not in str(module.code_for_node(node))
 
 
-def tests_for(name: str | None, path: str) -> tuple[str, ...]:
-    """Return the tests that call a mutant's function, or anything in its file for one outside functions."""
-    state: Any = importlib.import_module("mutmut.state").state()
-    by_function = state.tests_by_mangled_function_name
-    if name is not None:
-        tests = set(by_function.get(name.rpartition("__mutmut_")[0], ()))
-    else:
-        module = path[:-3].replace("/", ".") + "."
-        tests = {test for function, found in by_function.items() if function.startswith(module) for test in found}
-    return tuple(sorted(tests, key=lambda test: (state.duration_by_test[test], test)))
+def use_reach(command: Any, chosen: dict[str, list[str]], reach: Reach) -> None:
+    """Let mutmut run the tests that were chosen for each function, in that order, instead of finding out by itself."""
+
+    def fill(*_arguments: Any, **_options: Any) -> None:
+        state: Any = importlib.import_module("mutmut.state").state()
+        state.duration_by_test.update(reach.took_s)
+        for function, tests in chosen.items():
+            state.tests_by_mangled_function_name[function] = tests
+
+    command.collect_or_load_stats = fill
+    runner = importlib.import_module("mutmut.runners.harness").PytestRunner
+    run = runner.run_tests
+
+    def in_order(self: Any, *, mutant_name: str | None, tests: Any) -> int:
+        known = chosen.get((mutant_name or "").rpartition("__mutmut_")[0])
+        return int(run(self, mutant_name=mutant_name, tests=tests if known is None else known))
+
+    runner.run_tests = in_order
+    isolation: Any = importlib.import_module("mutmut.workers.isolation")
+    isolation.ForkRunner.run_clean_tests = lambda self, tests: leave_out_failing(
+        self.test_runner, sorted(tests), chosen
+    )
+    isolation.register_timeout = stop_after
 
 
-def report_each(command: Any, mutants: dict[str, Mutant], plan: dict[str, Any], status_by_exit_code: Any) -> None:
+def leave_out_failing(runner: Any, tests: list[str], chosen: dict[str, list[str]]) -> int:
+    """Run tests on mutmut's form of the code, unmutated, and leave out those that fail: what they would say is void.
+
+    Such a test looks at a function itself, as at its defaults, instead of calling it.
+    """
+    failing = set()
+
+    class Failing:
+        @staticmethod
+        def pytest_runtest_logreport(report: Any) -> None:
+            if report.failed:
+                failing.add(report.nodeid)
+
+    with contextlib.chdir("mutants"):
+        code = int(runner.execute_pytest(["-q", *tests], plugins=[Failing()]))
+    for of_function in chosen.values():
+        of_function[:] = [test for test in of_function if test not in failing]
+    for test in sorted(failing):
+        sys.__stderr__.write(f"\nleft out, it fails on code that is prepared for mutants: {test}\n")  # type: ignore[union-attr]
+    return 0 if code <= 1 else code
+
+
+def stop_after(pid: int, timeout_s: float) -> None:
+    """End a child after a time, if it is still one: mutmut ends whoever has its number by then."""
+
+    def stop() -> None:
+        try:
+            if os.waitid(os.P_PID, pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is None:
+                os.kill(pid, signal.SIGXCPU)
+        except ChildProcessError:  # it has ended, as most do
+            return
+
+    timer = threading.Timer(timeout_s, stop)
+    timer.daemon = True
+    timer.start()
+
+
+def report_each(command: Any, mutants: dict[str, Mutant], plan: dict[str, Any], reach: Reach) -> None:
     """Let mutmut write what becomes of each mutant as it is known, and end when the time is over."""
     register = command._register_mutant_result  # noqa: SLF001 - mutmut has no hook for it
-    began_s = time.monotonic()
+    began_s, kept = time.monotonic(), KeptResults(**plan["kept"])
 
     def report(result: Any, data: Any) -> None:
         register(result, data)
-        mutant = dataclasses.replace(mutants[result.mutant_name], status=status_by_exit_code[result.exit_code])
-        with Path(plan["progress"]).open("a", encoding="utf-8") as file:
-            file.write(json.dumps(dataclasses.asdict(mutant)) + "\n")
+        mutant = mutants[result.mutant_name]
+        mutant = dataclasses.replace(mutant, status=status_of(result.exit_code, mutant, reach))
+        kept.keep(mutant)
         if plan["most_s"] is not None and time.monotonic() - began_s > plan["most_s"]:
             raise KeyboardInterrupt
 
     command._register_mutant_result = report  # noqa: SLF001 - likewise
 
 
-def verdict_of(name: str | None, mutant: Mutant, codes: dict[str, int | None], plan: dict[str, Any]) -> str:
-    """Return what became of a mutant in forked processes, or that a process of its own has to tell."""
-    status_by_exit_code: Any = importlib.import_module("mutmut.stats").status_by_exit_code
-    if mutant.key in plan["known"]:
-        return str(plan["known"][mutant.key])
-    if name is None:
-        return "fresh"
-    if codes[name] is None:
+def status_of(code: int | None, mutant: Mutant, reach: Reach) -> str:
+    """Return what an exit code of mutmut's says of a mutant, or that a process of its own has to tell."""
+    if code is None:
         return "open"
-    status = str(status_by_exit_code[codes[name]])
-    sure = {"killed", "timeout", "survived"} if plan["quick"] else {"killed", "timeout"}
-    return status if status in sure else "fresh"
+    status = str(importlib.import_module("mutmut.stats").status_by_exit_code[code])
+    if status in {"killed", "timeout"}:
+        return status
+    return "fresh" if status != "survived" or mutant.called in reach.at_import else "survived"
 
 
 def main(cores: int, plan: dict[str, Any], results: Path, paths: list[str]) -> None:
@@ -198,23 +249,35 @@ def main(cores: int, plan: dict[str, Any], results: Path, paths: list[str]) -> N
     chosen = set(chosen_keys([mutant.key for _, mutant, _ in every], plan))
     mutants = [entry for entry in every if entry[1].key in chosen]
     named = {name: mutant for name, mutant, _ in mutants if name is not None and mutant.key not in plan["known"]}
-    if named:
-        report_each(command, named, plan, importlib.import_module("mutmut.stats").status_by_exit_code)
+    reach = Reach(plan["reach"]["took_s"], plan["reach"]["tests"], frozenset(plan["reach"]["at_import"]))
+    most_s = plan["most_tests_s"]
+    if named and plan["most_s"] != 0.0:
+        tests = {
+            name.rpartition("__mutmut_")[0]: reach.chosen(mutant.path, mutant.function, most_s)
+            for name, mutant in named.items()
+        }
+        use_reach(command, tests, reach)
+        report_each(command, named, plan, reach)
+        places = {key: place for place, key in enumerate(in_order(chosen, plan["seed"]))}  # mutmut: the quickest first
+        command.estimated_worst_case_time = lambda name: places[named[name].key]
         command._run(list(named), cores)  # noqa: SLF001 - what `mutmut run` calls, in a process that has been configured
     codes: dict[str, int | None] = {}
     for path in paths:
         one = data.SourceFileMutationData(path=path)
         one.load()
         codes |= one.exit_code_by_key
+    codes = dict.fromkeys(named) | codes
     with results.open("w", encoding="utf-8") as out:
         for name, mutant, source in mutants:
-            status = verdict_of(name, mutant, codes, plan)
+            status = plan["known"].get(mutant.key) or (
+                "fresh" if name is None else status_of(codes[name], mutant, reach)
+            )
             fresh = status == "fresh"
             entry = dataclasses.replace(
                 mutant,
                 status=status,
                 source=source() if fresh else "",
-                tests=tests_for(name, mutant.path) if fresh else (),
+                tests=tuple(reach.chosen(mutant.path, mutant.function, most_s)) if fresh else (),
             )
             out.write(json.dumps(dataclasses.asdict(entry)) + "\n")
 

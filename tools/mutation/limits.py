@@ -1,13 +1,12 @@
 """A pytest plugin for mutants: a test may take so much processor time, and a failing example is not made smaller.
 
-The unmutated run tells how much: it writes down what each test took. It is processor time, so that a busy machine does
-not make a mutant's verdict.
+The unmutated run tells how much, see :mod:`reach`. It is processor time, so that a busy machine does not make a
+mutant's verdict.
 """
 
 import json
 import os
 import signal
-import time
 from pathlib import Path
 from types import FrameType
 
@@ -30,16 +29,11 @@ OUT_OF_TIME = 36
 """Exit code, mutmut's own for it."""
 
 _spent: dict[str, float] = {}
-_began_s = [0.0]
 
 
 def allowed_s(spent: dict[str, float], name: str) -> float:
     """Return the processor time that a test may take, in s."""
     return max(LEAST_CPU_S, TIMES * spent[name]) if name in spent else OTHERWISE_CPU_S
-
-
-def _is_unmutated_run() -> bool:
-    return os.environ.get("MUTANT_UNDER_TEST") == "stats"
 
 
 def _stop(_signal: int, _frame: FrameType | None) -> None:
@@ -54,25 +48,15 @@ def pytest_sessionstart() -> None:
     settings.load_profile("mutation")
     signal.signal(signal.SIGPROF, _stop)
     path = Path(os.environ.get(SPENT, ""))
-    if path.is_file() and not _is_unmutated_run():
+    if path.is_file():
         _spent.update(json.loads(path.read_text(encoding="utf-8")))
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Start the test's time."""
-    _began_s[0] = time.process_time()
-    if not _is_unmutated_run():
-        signal.setitimer(signal.ITIMER_PROF, allowed_s(_spent, item.nodeid))
+    signal.setitimer(signal.ITIMER_PROF, allowed_s(_spent, item.nodeid))
 
 
-def pytest_runtest_teardown(item: pytest.Item) -> None:
+def pytest_runtest_teardown() -> None:
     """Stop the test's time."""
     signal.setitimer(signal.ITIMER_PROF, 0.0)
-    if _is_unmutated_run():
-        _spent[item.nodeid] = time.process_time() - _began_s[0]
-
-
-def pytest_sessionfinish() -> None:
-    """Write down what each test took, after the unmutated run."""
-    if SPENT in os.environ and _is_unmutated_run():
-        Path(os.environ[SPENT]).write_text(json.dumps(_spent), encoding="utf-8")

@@ -21,7 +21,7 @@ class Mutant:
     source
         The whole mutated file; empty unless the status is ``fresh``.
     tests
-        The tests that a process of its own runs, the quickest first; empty for all of the room.
+        The tests that a process of its own runs, in their order; empty for all of the room.
     """
 
     path: str
@@ -40,3 +40,8 @@ class Mutant:
     def key(self) -> str:
         """What `survivors.toml` calls it: its place and its changed lines, nothing that moves with other lines."""
         return f"{self.place}:{self.function}: {' '.join(self.diff)}"
+
+    @property
+    def called(self) -> str:
+        """What :mod:`reach` calls its function."""
+        return f"{self.path}:{self.function}"

@@ -5,8 +5,11 @@ import hashlib
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Final, Self
 
 from mutation.mutant import Mutant
+
+DECIDED: Final = frozenset({"killed", "timeout", "survived"})
 
 
 def in_order(keys: Iterable[str], seed: int = 0) -> list[str]:
@@ -33,7 +36,7 @@ def digest(tree: Path, paths: Sequence[str]) -> str:
 
 
 class KeptResults:
-    """A file with a line for each mutant that was tried.
+    """A file with a line for each mutant that was tried, written as soon as it is known what became of it.
 
     A verdict counts for as long as the mutant's file is what it was. That nothing was found counts only while the tests
     are what they were as well.
@@ -42,49 +45,49 @@ class KeptResults:
     ----------
     path
         The file; None keeps nothing.
-    tree
-        The tree whose files they are of.
+    sources
+        Digests of the files that are mutated, by their path.
     tests
-        The tests.
+        Digest of the tests.
     """
 
-    def __init__(self, path: Path | None, tree: Path, tests: Sequence[str]) -> None:
-        self._path = path
-        self._tree = tree
-        self._tests = digest(tree, tests)
-        self._sources: dict[str, str] = {}
+    def __init__(self, path: str | None, sources: dict[str, str], tests: str) -> None:
+        self.path = path
+        self.sources = sources
+        self.tests = tests
 
-    def load(self) -> dict[str, str]:
-        """Return the verdicts that count, by key."""
-        if self._path is None or not self._path.exists():
+    @classmethod
+    def of(cls, path: Path | None, tree: Path, sources: Sequence[str], tests: Sequence[str]) -> Self:
+        """Return those of a tree as it is now."""
+        digests = {source: digest(tree, [source]) for source in sources}
+        return cls(None if path is None else str(path.absolute()), digests, digest(tree, tests))
+
+    def load(self, *, settled: bool = False) -> dict[str, str]:
+        """Return the verdicts that count, by key; with `settled` also that nothing was found by earlier tests."""
+        if self.path is None or not Path(self.path).exists():
             return {}
         verdicts: dict[str, str] = {}
-        for line in self._path.read_text(encoding="utf-8").splitlines():
+        for line in Path(self.path).read_text(encoding="utf-8").splitlines():
             entry = json.loads(line)
-            known = (self._tree / entry["path"]).exists() and entry["source"] == self._source(entry["path"])
+            known = entry["source"] == self.sources.get(entry["path"])
             verdicts.pop(entry["key"], None)
-            if known and (entry["status"] != "survived" or entry["tests"] == self._tests):
+            if known and (settled or entry["status"] != "survived" or entry["tests"] == self.tests):
                 verdicts[entry["key"]] = str(entry["status"])
         return verdicts
 
     def keep(self, mutant: Mutant) -> None:
-        """Add what became of a mutant."""
-        if self._path is None:
+        """Add what became of a mutant, if that is known."""
+        if self.path is None or mutant.status not in DECIDED:
             return
         entry = {
             "key": mutant.key,
             "path": mutant.path,
             "status": mutant.status,
-            "source": self._source(mutant.path),
-            "tests": self._tests,
+            "source": self.sources[mutant.path],
+            "tests": self.tests,
         }
-        with self._path.open("a", encoding="utf-8") as file:
+        with Path(self.path).open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry) + "\n")
-
-    def _source(self, path: str) -> str:
-        if path not in self._sources:
-            self._sources[path] = digest(self._tree, [path])
-        return self._sources[path]
 
 
 def with_status(mutant: Mutant, status: str) -> Mutant:
