@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from twostage_servo.axis.design import AxisDesign
-    from twostage_servo.config import Config
+    from twostage_servo.config import Config, LoadedConfig
     from twostage_servo.service.station import Station
 
 _UNIT_WAITS_S = 15.0
@@ -64,9 +64,7 @@ def _check(options: argparse.Namespace) -> ExitCode:
     machine = load_machine(options)
     with configuration_problems():
         service = build_service(machine)
-    summaries = [
-        _summary(loaded.config, station) for loaded, station in zip(machine.axes, service.stations, strict=True)
-    ]
+    summaries = [_summary(loaded, station) for loaded, station in zip(machine.axes, service.stations, strict=True)]
     ends_within_s = longest_end_s(machine.service, (loaded.config.axis.arming_timeout_ms for loaded in machine.axes))
     if options.json:
         several = {"axes": summaries} if len(summaries) > 1 else summaries[0]
@@ -81,8 +79,8 @@ def _check(options: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE
 
 
-def _summary(config: "Config", station: "Station") -> dict[str, Any]:
-    profile, axis = station.profile, station.axis
+def _summary(loaded: "LoadedConfig[Config]", station: "Station") -> dict[str, Any]:
+    config, profile, axis = loaded.config, station.profile, station.axis
     return {
         "axis": config.axis.name,
         "bus": {"interface": config.bus.interface, "channel": config.bus.channel},
@@ -97,7 +95,25 @@ def _summary(config: "Config", station: "Station") -> dict[str, Any]:
         "cruise_velocity": config.axis.cruise_velocity,
         "detection": _detection(axis.design),
         "notes": list(_notes(config, axis.design.period_s)),
+        "warnings": list(_warnings(loaded, station)),
     }
+
+
+def _warnings(loaded: "LoadedConfig[Config]", station: "Station") -> "Iterator[dict[str, Any]]":
+    """Yield the limits that protect from nothing, with the place where each is set."""
+    from twostage_servo.axis.weak_limits import weak_limits
+
+    profile = station.profile
+    for weak in weak_limits(station.axis.design, profile.position_quantum, heartbeat=profile.heartbeat_id is not None):
+        (place,) = loaded.problem(("axis", *weak.key), weak.disables).problems
+        yield {
+            "file": place.file,
+            "line": place.line,
+            "key": place.key,
+            "value": weak.value,
+            "disables": weak.disables,
+            "do": weak.do,
+        }
 
 
 def _detection(design: "AxisDesign") -> dict[str, Any]:
@@ -135,7 +151,16 @@ def _sentence(summary: dict[str, Any]) -> str:
         f"0x{frames['feedback']:x}; change-over {summary['changeover_distance']:.4g} {unit} before the set-point at "
         f"{summary['cruise_velocity']:g} {unit}/s.\n"
         f"An encoder that turns round or changes its scale is certain after {detection['travel']:.4g} {unit} at most "
-        f"({detection['allowed']:g} allowed); {slowest}." + "".join(f"\nNote: {note}." for note in summary["notes"])
+        f"({detection['allowed']:g} allowed); {slowest}."
+        + "".join(f"\nNote: {note}." for note in summary["notes"])
+        + "".join(map(_warn, summary["warnings"]))
+    )
+
+
+def _warn(warning: dict[str, Any]) -> str:
+    place = warning["file"] if warning["line"] is None else f"{warning['file']}:{warning['line']}"
+    return (
+        f"\nWarning: {place}: {warning['key']} = {warning['value']:g} disables {warning['disables']}; {warning['do']}."
     )
 
 

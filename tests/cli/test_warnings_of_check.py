@@ -1,0 +1,125 @@
+"""What `check` says of limits that are valid and protect from nothing."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from twostage_servo.axis.settings import LimitSettings
+from twostage_servo.cli.main import main
+
+CONFIG = Path(__file__).parents[2] / "config"
+TRULY = {"example1.toml": ["axis.limits.overspeed"], "example2.toml": ["axis.limits.overspeed"]}
+"""The paper's examples, whose plant does not come to the speed at which they trip."""
+NOT_BY_BEING_LARGE = {
+    "position_minimum", "position_maximum", "velocity", "acceleration", "quick_stop_deceleration", "effort",
+    "effort_rate",
+}  # fmt: skip
+"""Limits that bound what the axis is asked for: how large they are is for the machine to say."""
+
+
+def check(capsys: pytest.CaptureFixture[str], *overrides: str, config: str = "demo.toml") -> tuple[int, dict[str, Any]]:
+    arguments = [argument for override in overrides for argument in ("--set", override)]
+    code = main(["check", "--json", str(CONFIG / config), *arguments])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def warned(capsys: pytest.CaptureFixture[str], *overrides: str) -> list[dict[str, Any]]:
+    code, told = check(capsys, *overrides)
+    assert (code, told["valid"]) == (0, True)
+    return list(told["warnings"])
+
+
+@pytest.mark.parametrize("name", sorted(path.name for path in CONFIG.glob("*.toml")))
+def test_shipped_files_are_warned_of_what_is_true_alone(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    code, told = check(capsys, config=name)
+    assert code == 0
+    keys = [warning["key"] for one in told.get("axes", [told]) for warning in one["warnings"]]
+    assert keys == TRULY.get(name, [])
+
+
+@pytest.mark.parametrize(
+    ("override", "disables"),
+    [
+        ("axis.limits.missed_ticks=40", "a host that stands still: at 250 mm/s the axis goes 100 mm in that time"),
+        ("axis.limits.stale_feedback_ms=100", "a drive that is silent: at 250 mm/s the axis goes 25 mm"),
+        ("axis.limits.overspeed=410", "the trip for overspeed: with all of its effort the axis comes to 308.6 mm/s"),
+        ("axis.limits.following_error_minimum=2600", "the trip for following error"),
+        ("axis.limits.following_error_time_s=11", "the trip for following error: 2750 mm are allowed"),
+        ("axis.limits.innovation=21", "the trip for an encoder that jumps"),
+        ("axis.limits.effort_rate=1e-3", "a stop: from 250 mm/s"),
+        ("axis.window.position=60", "begins 54.53 mm before the set-point, so it counts as reached at once"),
+        ("axis.window.position=0.0004", "the encoder has steps of 0.001 mm"),
+        ("axis.limits.jam_time_ms=30000", "the trip for a jam: at its largest velocity the axis crosses"),
+        ("axis.limits.jam_time_ms=501", "the trip for a jam: effort_saturation_ms is shorter"),
+        ("axis.limits.heartbeat_ms=20001", "whole travel in 2e+04 ms"),
+        ("axis.limits.effort_saturation_ms=20001", "the trip for an effort that stands at its limit"),
+        ("axis.limits.feedback_errors=67", "the trip for bad frames: with more than 67 in 100 ticks"),
+        ("axis.limits.position_overrun=5001", "the position limits"),
+        ("axis.limits.undetected_travel=5001", "an encoder that counts wrongly"),
+        ("axis.arming_timeout_ms=20001", "a drive that does not disable"),
+        ("axis.homing.slow_velocity=1e-8", "motion: at less than 2.78e-07 mm/s"),
+    ],
+)
+def test_a_limit_that_disables_its_protection_is_named_with_value_and_place(
+    capsys: pytest.CaptureFixture[str], override: str, disables: str
+) -> None:
+    warnings = warned(capsys, override)
+    key, _, value = override.partition("=")
+    (warning,) = warnings
+    assert (warning["key"], warning["value"]) == (key, float(value))
+    assert (warning["file"], warning["line"]) == (f"--set {override}", None)
+    assert disables in warning["disables"]
+    assert warning["do"]
+    assert main(["check", str(CONFIG / "demo.toml"), "--set", override]) == 0
+    out = capsys.readouterr().out
+    assert f"\nWarning: --set {override}: {key} = " in out
+    assert warning["do"] in out
+
+
+@pytest.mark.parametrize(
+    "override",
+    [
+        "axis.limits.missed_ticks=8", "axis.limits.stale_feedback_ms=79", "axis.limits.overspeed=400",
+        "axis.limits.innovation=10", "axis.limits.jam_time_ms=499", "axis.limits.feedback_errors=66",
+        "axis.window.position=50", "axis.window.position=0.0005", "axis.approach.distance=1e9",
+    ],
+)  # fmt: skip
+def test_what_still_protects_is_not_warned_of(capsys: pytest.CaptureFixture[str], override: str) -> None:
+    assert warned(capsys, override) == []
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ("axis.approach.distance=1e9", 'axis.approach.direction="positive"'),
+        ("axis.homing.travel=1e9", 'axis.homing.method="switch"'),
+        ("axis.homing.stop_time_ms=6e4", 'axis.homing.method="hard_stop"'),
+    ],
+)
+def test_what_is_in_use_only_by_another_key_is_warned_of_then(
+    capsys: pytest.CaptureFixture[str], overrides: tuple[str, str]
+) -> None:
+    assert warned(capsys, overrides[0]) == []
+    assert [one["key"] for one in warned(capsys, *overrides)] == [overrides[0].partition("=")[0]]
+
+
+def test_a_warning_names_the_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    text = (CONFIG / "demo.toml").read_text("utf-8").replace("overspeed = 320.0", "overspeed = 1e9")
+    (tmp_path / "wide.toml").write_text(text, "utf-8")
+    code, told = check(capsys, config=str(tmp_path / "wide.toml"))
+    (warning,) = told["warnings"]
+    line = next(number for number, one in enumerate(text.split("\n"), 1) if "overspeed = 1e9" in one)
+    assert (code, warning["file"], warning["line"]) == (0, str(tmp_path / "wide.toml"), line)
+
+
+@pytest.mark.parametrize("name", sorted(set(LimitSettings.model_fields) - NOT_BY_BEING_LARGE))
+def test_no_limit_can_be_taken_to_its_bound_in_silence(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    bounds = [bound.le for bound in LimitSettings.model_fields[name].metadata if hasattr(bound, "le")]
+    largest = bounds[0] if bounds else 1e9
+    code, told = check(capsys, f"axis.limits.{name}={largest:g}")
+    if code == 0:
+        assert f"axis.limits.{name}" in [warning["key"] for warning in told["warnings"]]
+    else:
+        assert code == 2

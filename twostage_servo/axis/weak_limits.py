@@ -1,0 +1,220 @@
+"""Limits that are valid, and so wide that what they stand for is not protected: each against the axis' own scale.
+
+Nothing is refused here: a limit may be wide on purpose. Two scales serve: how far the axis goes at its largest velocity
+(against ``position_overrun``, in which it must come to rest), and how long it takes to cross its whole travel.
+"""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from twostage_servo.axis.admission import slowest_velocity
+from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.feedback import WINDOW_TICKS
+
+_CROSSED: Final = "at its largest velocity the axis crosses its whole travel in {0:.4g} ms"
+_LARGE_SHARE: Final = 0.5
+"""Share of the travel that is no longer a tolerance or a way to stop."""
+
+
+class WeakLimit(NamedTuple):
+    """A limit that protects from nothing.
+
+    Attributes
+    ----------
+    key
+        The key below ``axis``.
+    value
+        What it is set to.
+    disables
+        What it should tell or prevent, and does not.
+    do
+        What to do.
+    """
+
+    key: tuple[str, ...]
+    value: float
+    disables: str
+    do: str
+
+
+def weak_limits(design: AxisDesign, resolution: float, *, heartbeat: bool) -> Iterator[WeakLimit]:
+    """Yield the limits of an axis that disable what they stand for.
+
+    Parameters
+    ----------
+    design
+        The axis.
+    resolution
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+    heartbeat
+        Whether the drive has a heartbeat.
+    """
+    yield from _unseen_travel(design)
+    yield from _times(design, heartbeat=heartbeat)
+    yield from _stops(design)
+    yield from _motion(design)
+    yield from _moves(design, resolution)
+
+
+def _travel(design: AxisDesign) -> float:
+    """Return how far it is from one position limit to the other, in axis unit."""
+    limits = design.settings.limits
+    return limits.position_maximum - limits.position_minimum
+
+
+def _unseen_travel(design: AxisDesign) -> Iterator[WeakLimit]:
+    """Yield what lets the axis go farther unseen than the overrun in which it has to come to rest."""
+    settings = design.settings
+    limits, unit, travel = settings.limits, settings.unit, _travel(design)
+    allowed, speed = min(limits.position_overrun, travel), limits.velocity
+    if limits.position_overrun > travel:
+        text = f"the position limits: past them the axis may go by more than its whole travel of {travel:g} {unit}"
+        yield WeakLimit(
+            ("limits", "position_overrun"), limits.position_overrun, text, f"set what is free there, in {unit}"
+        )
+    if limits.undetected_travel is not None and limits.undetected_travel > travel:
+        text = f"the bound for an encoder that counts wrongly: it is more than the whole travel of {travel:g} {unit}"
+        yield WeakLimit(("limits", "undetected_travel"), limits.undetected_travel, text, "remove it, or lower it")
+    for name, duration_s in (
+        ("missed_ticks", limits.missed_ticks * design.period_s),
+        ("stale_feedback_ms", 1e-3 * limits.stale_feedback_ms),
+    ):
+        way = speed * duration_s
+        if way > allowed:
+            what = "a host that stands still" if name == "missed_ticks" else "a drive that is silent"
+            per = 1e3 * design.period_s if name == "missed_ticks" else 1.0
+            yield WeakLimit(
+                ("limits", name),
+                getattr(limits, name),
+                f"the trip for {what}: at {speed:g} {unit}/s the axis goes {way:.4g} {unit} in that time, and has to "
+                f"come to rest within {allowed:g} {unit} past its limits",
+                f"lower it to {int(1e3 * allowed / speed / per)} at most",
+            )
+    for name, gate in (
+        ("innovation", limits.innovation),
+        ("innovation_time_ms", 1e-3 * limits.innovation_time_ms * speed),
+    ):
+        if gate > allowed:
+            yield WeakLimit(
+                ("limits", name),
+                getattr(limits, name),
+                f"the trip for an encoder that jumps: up to {gate:.4g} {unit} are believed, more than the {allowed:g} "
+                f"{unit} in which the axis has to come to rest past its limits",
+                "set a few times what a sample may be off",
+            )
+
+
+def _times(design: AxisDesign, *, heartbeat: bool) -> Iterator[WeakLimit]:
+    """Yield times in which the axis may have gone anywhere."""
+    settings, limits = design.settings, design.settings.limits
+    crossing_ms = 1e3 * _travel(design) / limits.velocity
+    longest: dict[tuple[str, ...], str] = {
+        ("limits", "effort_saturation_ms"): "the trip for an effort that stands at its limit",
+        ("limits", "jam_time_ms"): "the trip for a jam",
+        ("arming_timeout_ms",): "the trip for a drive that does not disable",
+        ("jog_timeout_ms",): "the end of a jog whose operator has gone",
+    }
+    if settings.homing.method == "hard_stop":
+        longest["homing", "stop_time_ms"] = "the end of the push against a hard stop"
+    if heartbeat:
+        longest["limits", "heartbeat_ms"] = "the trip for a drive whose firmware hangs"
+    for key, what in longest.items():
+        value = _value(settings, key)
+        if value > crossing_ms:
+            yield WeakLimit(key, value, f"{what}: {_CROSSED.format(crossing_ms)}", "lower it well below that")
+    if min(crossing_ms, limits.effort_saturation_ms) < limits.jam_time_ms <= crossing_ms:
+        text = "the trip for a jam: effort_saturation_ms is shorter, so the axis pushes with all of its effort before"
+        yield WeakLimit(("limits", "jam_time_ms"), limits.jam_time_ms, text, "lower it below effort_saturation_ms")
+    stale_ticks = design.ticks(limits.stale_feedback_ms)
+    most = WINDOW_TICKS * (stale_ticks - 1) / stale_ticks
+    if most < limits.feedback_errors and stale_ticks > 1:
+        text = (
+            f"the trip for bad frames: with more than {most:.0f} in {WINDOW_TICKS} ticks the feedback is stale before"
+        )
+        yield WeakLimit(("limits", "feedback_errors"), limits.feedback_errors, text, f"lower it to {int(most)} at most")
+
+
+def _stops(design: AxisDesign) -> Iterator[WeakLimit]:
+    """Yield what makes a stop take so long that it is none."""
+    limits, unit, half = design.settings.limits, design.settings.unit, _LARGE_SHARE * _travel(design)
+    for name, what in (("acceleration", "a stop"), ("quick_stop_deceleration", "a quick stop")):
+        deceleration = getattr(limits, name)
+        distance = design.stopping_distance(limits.velocity, deceleration)
+        if distance <= half:
+            continue
+        at_once = limits.velocity**2 / (2.0 * deceleration)
+        slow_effort = at_once <= half  # it is not the ramp that is too long
+        key = "effort_rate" if slow_effort else name
+        yield WeakLimit(
+            ("limits", key),
+            getattr(limits, key),
+            f"{what}: from {limits.velocity:g} {unit}/s it takes {distance:.4g} {unit}, and the whole travel is "
+            f"{2.0 * half:g} {unit}",
+            "raise it to what drive and machine bear",
+        )
+        if slow_effort:
+            return
+
+
+def _motion(design: AxisDesign) -> Iterator[WeakLimit]:
+    """Yield bounds that no motion of this axis comes to."""
+    settings = design.settings
+    limits, unit, travel = settings.limits, settings.unit, _travel(design)
+    fastest = abs(settings.plant.gain) * limits.effort / settings.plant.pole
+    if limits.overspeed > (1.0 + MODEL_ERROR) * fastest:
+        yield WeakLimit(
+            ("limits", "overspeed"),
+            limits.overspeed,
+            f"the trip for overspeed: with all of its effort the axis comes to {fastest:.4g} {unit}/s, and to "
+            f"{100.0 * MODEL_ERROR:.0f} % more where its plant is off its model",
+            f"lower it; about {1.25 * limits.velocity:g} is usual",
+        )
+    for name, error in (
+        ("following_error_minimum", limits.following_error_minimum),
+        ("following_error_time_s", limits.following_error_time_s * limits.velocity),
+    ):
+        if error > _LARGE_SHARE * travel:
+            yield WeakLimit(
+                ("limits", name),
+                getattr(limits, name),
+                f"the trip for following error: {error:.4g} {unit} are allowed, and the whole travel is "
+                f"{travel:g} {unit}",
+                "set a few times what the axis needs in an ordinary move",
+            )
+
+
+def _moves(design: AxisDesign, resolution: float) -> Iterator[WeakLimit]:
+    """Yield what makes the end of a move, or its way, say nothing."""
+    settings = design.settings
+    unit, travel = settings.unit, _travel(design)
+    window, changeover = settings.window.position, design.changeover_distance(settings.cruise_velocity)
+    if window > min(changeover, travel):
+        text = (
+            f"the outcome `reached`: the position stage of a move begins {changeover:.4g} {unit} before the set-point, "
+            "so it counts as reached at once"
+        )
+        yield WeakLimit(("window", "position"), window, text, "set the error with which the work can be done")
+    if window < 0.5 * resolution:
+        text = f"the outcome `reached`: the encoder has steps of {resolution:g} {unit}, so few moves end in the window"
+        yield WeakLimit(("window", "position"), window, text, f"set {resolution:g} at least")
+    approach, homing = settings.approach, settings.homing
+    if approach.direction != "either" and approach.distance > _LARGE_SHARE * travel:
+        text = (
+            f"short ways: a move from the other side goes past its set-point first, and the travel is {travel:g} {unit}"
+        )
+        yield WeakLimit(("approach", "distance"), approach.distance, text, "set a few times the backlash")
+    if homing.method != "set_here" and homing.travel > 2.0 * (travel + settings.limits.position_overrun):
+        text = f"the end of a search that finds nothing: the whole travel is {travel:g} {unit}"
+        yield WeakLimit(("homing", "travel"), homing.travel, text, "set what the search may go from anywhere")
+    slowest = slowest_velocity(design, resolution)
+    for key in (("cruise_velocity",), ("homing", "velocity"), ("homing", "slow_velocity")):
+        if _value(settings, key) < slowest:
+            text = f"motion: at less than {slowest:.3g} {unit}/s the axis does not go a step of its encoder in an hour"
+            yield WeakLimit(key, _value(settings, key), text, "raise it")
+
+
+def _value(settings: object, key: tuple[str, ...]) -> float:
+    for name in key:
+        settings = getattr(settings, name)
+    assert isinstance(settings, float)  # noqa: S101 - all of them are declared so
+    return settings
