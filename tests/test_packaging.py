@@ -52,12 +52,13 @@ MAY_IMPORT = {
     "toml_lines": set[str](),
     "settings": set[str](),
     "ticks": set[str](),
+    "exact": set[str](),
     "printable": set[str](),
     "worker_thread": set[str](),
 }
 """Room or top-level module: what it may import besides itself, the package's version and what anyone may import."""
 
-ANYONE_MAY_IMPORT = {"printable", "settings", "ticks", "worker_thread"}
+ANYONE_MAY_IMPORT = {"exact", "printable", "settings", "ticks", "worker_thread"}
 HEAVY = {"numpy", "scipy", "control", "can", "cantools", "pydantic", "structlog", "asyncio", "matplotlib"}
 
 
