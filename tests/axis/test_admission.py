@@ -90,13 +90,13 @@ def test_a_set_point_lies_inside_the_limits_of_an_axis_that_knows_its_position(t
 @pytest.mark.parametrize(
     ("position", "velocity", "refused"),
     [
-        (0.0, 0.0, None), (1e9, 0.0, None), (-1e9, 0.0, None),
-        (1.000001e9, 0.0, "position_limit"), (-1.000001e9, 0.0, "position_limit"),
+        (0.0, 0.0, None), (250.0, 0.0, None), (-100.0, 0.0, None), (269.0, 0.0, None), (-119.0, 0.0, None),
+        (270.0, 0.0, "position_limit"), (-120.0, 0.0, "position_limit"), (1e9, 0.0, "position_limit"),
         (math.nan, 0.0, "position_limit"), (math.inf, 0.0, "position_limit"),
         (0.0, 2.5, None), (0.0, -2.5, None), (0.0, 2.6, "busy"), (0.0, -2.6, "busy"),
     ],
 )  # fmt: skip
-def test_a_place_is_set_at_rest_and_is_a_finite_number_up_to_1e9(
+def test_a_place_is_set_at_rest_and_where_the_axis_would_not_trip(
     position: float, velocity: float, refused: str | None
 ) -> None:
     assert code(lambda: HERE.check_place(position, velocity, 2.5)) == refused
@@ -146,8 +146,11 @@ def test_a_refusal_says_its_text() -> None:
     assert (refused.code, str(refused)) == ("busy", "the axis moves.")
 
 
-def test_the_largest_position_is_exact() -> None:
-    assert code(lambda: HERE.check_place(1e9 + 0.5, 0.0, 2.5)) == "position_limit"
+def test_a_place_beyond_the_limits_is_refused_with_the_numbers() -> None:
+    with pytest.raises(
+        Refused, match=r"cannot stand at 3000 mm.* -100 to 250 mm .* 20 mm .* from -119.84 to 269.84 mm"
+    ):
+        HERE.check_place(3000.0, 0.0, 2.5)
 
 
 def test_no_effort_is_none_and_a_frame_is_asked_for_unless_it_says_otherwise() -> None:

@@ -145,3 +145,34 @@ def test_what_does_not_fit_together_is_refused_by_name_and_what_just_fits_is_not
     message = refused(changes)
     assert bool(message) is bool(word)
     assert word in message
+
+
+@pytest.mark.parametrize(
+    ("homing", "refused"),
+    [
+        ({"position": 2519.0}, False), ({"position": 2521.0}, True), ({"position": -3000.0}, True),
+        ({"position": 1e9}, True), ({"method": "switch", "position": 3000.0}, True),
+        ({"method": "index", "position": -2520.5}, True), ({"method": "index", "position": -2519.5}, False),
+        # A hard stop may lie outside: where the axis is when it has left it counts.
+        ({"method": "hard_stop", "position": -2530.0, "back_off": 40.0}, False),
+        ({"method": "hard_stop", "position": -2530.0}, True),
+        ({"method": "hard_stop", "position": 2530.0, "back_off": 40.0}, True),
+        ({"method": "hard_stop", "position": 2530.0, "back_off": 40.0, "direction": "positive"}, False),
+    ],
+)  # fmt: skip
+def test_a_reference_where_the_axis_would_trip_is_refused(homing: dict[str, Any], *, refused: bool) -> None:
+    if not refused:
+        AxisSettings.model_validate(DEMO | {"homing": homing})
+        return
+    with pytest.raises(ValidationError, match=r"homing.position = .* outside limits.position_minimum = -2500 to .* 20"):
+        AxisSettings.model_validate(DEMO | {"homing": homing})
+
+
+def test_a_reference_that_is_not_given_need_not_lie_within_the_limits() -> None:
+    """The axis may have an absolute encoder, or be homed by `home --here POSITION` alone."""
+    for homing in ({}, {"required": True}):
+        AxisSettings.model_validate(DEMO | {"homing": homing, "limits": DEMO["limits"] | {"position_minimum": 100.0}})
+    with pytest.raises(ValidationError, match="homing.position = 0"):
+        AxisSettings.model_validate(
+            DEMO | {"homing": {"method": "switch"}, "limits": DEMO["limits"] | {"position_minimum": 100.0}}
+        )

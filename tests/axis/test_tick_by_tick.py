@@ -253,7 +253,10 @@ def test_after_other_settings_a_reference_is_known_that_was_found_by_the_same_ru
     required: bool, other_rules: bool, knew: bool, knows: bool
 ) -> None:
     former = axis_with(required=required, position=7.0 if other_rules else 0.0)
-    former.referenced = knew
+    if knew:
+        former.reference.find()
+    else:
+        former.reference.lose("a test")
     former.begin_tick(1, 0)
     former.take_feedback(Feedback(33.0, 1))
     axis = axis_with(required=required)
@@ -441,12 +444,12 @@ def test_the_position_limits_mean_nothing_without_a_reference() -> None:
     rig.position = rig.sample = 9000.0
     assert rig.armed().seconds(0.1).axis.trip is None
     rig = AxisRig().armed()
-    rig.axis.referenced = False
+    rig.axis.reference.lose("a test")
     rig.axis.disarm()
     rig.seconds(0.05)
     rig.axis.drive.position = 9000.0
     assert rig.axis.obstacle_to_arming() is None
-    rig.axis.referenced = True
+    rig.axis.reference.find()
     assert rig.axis.obstacle_to_arming() is not None
 
 

@@ -79,7 +79,7 @@ def test_what_is_known_of_the_place_is_neither_lost_nor_given_back(file: Path, *
         await world.until(lambda: world.axis.ready_to_arm)
         world.axis.set_position(50.0)
         if lost:
-            world.axis.referenced = False
+            world.axis.reference.lose("a test")
         world.service.desk.reload = reloading(world, file)
         change(file, "cruise_velocity = 100.0", "cruise_velocity = 40.0")
         world.service.handle(RELOAD)

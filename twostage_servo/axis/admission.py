@@ -12,9 +12,6 @@ from twostage_servo.exact import exact
 Obstacle = tuple[str, str]
 """Code and text of a refusal."""
 
-LARGEST_POSITION = 1e9
-"""Largest magnitude that a position may be given, in axis unit."""
-
 _STANDSTILL_S = 3600.0
 """An axis that does not go a step of its encoder in this time stands still, whatever speed it was asked for."""
 _STANDSTILL_SHARE = 1e-12
@@ -42,8 +39,12 @@ class Admission:
     def __init__(self, design: AxisDesign, drive: DriveReport, resolution: float = 0.0) -> None:
         self.slowest = slowest_velocity(design, resolution)
         self._unit = design.settings.unit
-        self._limits = design.settings.limits
+        limits = self._limits = design.settings.limits
         self._drive = drive
+        # An axis at rest may have the speed that still counts as rest, and must be able to stop from it.
+        speed = design.rest_velocity
+        to_stop = design.certain_stopping_distance(speed, limits.quick_stop_deceleration) + speed * design.period_s
+        self._overrun_to_stand_in = max(0.0, limits.position_overrun - to_stop)
 
     def is_inside(self, position: float, overrun: float = 0.0) -> bool:
         """Whether a position (axis unit) is within the position limits, or past them by no more than the overrun."""
@@ -94,8 +95,11 @@ class Admission:
                 "would not go a step of its encoder in an hour.",
             )
 
-    def check_target(self, target: float, *, referenced: bool) -> None:
-        """Refuse a set-point (axis unit) outside the limits, and any on an axis that does not know its position."""
+    def check_target(self, target: float, *, referenced: bool, lost_because: str = "") -> None:
+        """Refuse a set-point (axis unit) outside the limits, and any on an axis that does not know its position.
+
+        The operator is told why it does not.
+        """
         if not (math.isfinite(target) and self.is_inside(target)):
             raise Refused(
                 "position_limit",
@@ -103,7 +107,8 @@ class Admission:
                 f"{self._limits.position_maximum:g} {self._unit}.",
             )
         if not referenced:
-            raise Refused("not_homed", "the axis does not know its position: `home` it first, or `jog`.")
+            why = f" ({lost_because})" if lost_because else ""
+            raise Refused("not_homed", f"the axis does not know its position{why}: `home` it first, or `jog`.")
 
     def check_switches(self, direction: float) -> None:
         """Refuse motion (its sign counts) towards a limit switch that is active."""
@@ -113,11 +118,18 @@ class Admission:
     def check_place(self, position: float, velocity: float | None, rest_velocity: float) -> None:
         """Refuse to call the place where the axis stands `position` (axis unit) unless it is seen, and at rest.
 
-        Both velocities in axis unit/s; that of the axis is None where it has only just been seen.
+        One at which the axis would trip as soon as it is armed is refused as well. Both velocities in axis unit/s; that
+        of the axis is None where it has only just been seen.
         """
-        if not (math.isfinite(position) and abs(position) <= LARGEST_POSITION):
+        limits, unit = self._limits, self._unit
+        overrun = self._overrun_to_stand_in
+        if not (math.isfinite(position) and self.is_inside(position, overrun)):
             raise Refused(
-                "position_limit", f"position {exact(position)}: a finite number up to {LARGEST_POSITION:g} is needed."
+                "position_limit",
+                f"the axis cannot stand at {exact(position)} {unit}: with limits of {limits.position_minimum:g} to "
+                f"{limits.position_maximum:g} {unit} and an overrun of {limits.position_overrun:g} {unit} its place "
+                f"must lie from {limits.position_minimum - overrun:.6g} to "
+                f"{limits.position_maximum + overrun:.6g} {unit}.",
             )
         if self._drive.position is None or self._drive.is_stale:
             raise Refused("no_feedback", "there is no fresh feedback from the drive.")

@@ -106,7 +106,7 @@ class Axis(Machine):
         check = self._admission
         check.check_velocity(velocity, self.settings.limits.velocity)
         check.check_state(self.state, Event.MOVE_SPEED, self.present_trip)
-        check.check_target(target, referenced=self.referenced)
+        check.check_target(target, referenced=self.referenced, lost_because=self.reference.lost_because)
         check.check_switches(target - self.law.observer.position)
 
     def move_by(self, distance: float, velocity: float) -> Move:
@@ -167,7 +167,7 @@ class Axis(Machine):
         Raises
         ------
         Refused
-            If the axis moves, its position is not known, or the number is not finite.
+            If the axis moves, its position is not known, or the number is not finite or no place within its limits.
         """
         if self.state is not State.DISARMED:
             self._admission.check_state(self.state, Event.HOME, self.present_trip)

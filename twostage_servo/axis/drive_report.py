@@ -231,6 +231,11 @@ class DriveReport:
     # What follows from it --------------------------------------------------------------------------------------------
 
     @property
+    def counts_boots(self) -> bool:
+        """Whether the drive has told its count of boots."""
+        return self._boot_counter is not None
+
+    @property
     def enabled_report(self) -> bool | None:
         """Whether the drive has said in this tick that it is enabled; None if it has said nothing of it.
 

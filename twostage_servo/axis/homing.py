@@ -8,9 +8,6 @@ from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.settings import HomingSettings
 from twostage_servo.control.two_stage import Stage
 
-_BACK_OFF_WINDOWS = 20.0
-"""Position windows by which a hard stop is left, where the settings do not say."""
-
 
 class _Phase(enum.Enum):
     SEEK = "seeking"
@@ -59,7 +56,7 @@ class Homing:
         self._sign = _sign(settings)
         self.direction = 0.0
         self._still_ticks = 0
-        self._back_off = settings.back_off or _BACK_OFF_WINDOWS * design.settings.window.position
+        self._back_off = design.settings.back_off
         self._stop_ticks = design.ticks(settings.stop_time_ms)
         self._ticks_left = design.ticks(1e3 * (2.0 * settings.travel / settings.slow_velocity + 10.0))
         self.reference: float | None = None

@@ -1,6 +1,7 @@
 """The machine inside an axis: its state, its trips, and what it does on each tick."""
 
 from twostage_servo.axis.admission import Admission
+from twostage_servo.axis.count_watch import CountWatch
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.disabled_drive import DisabledDriveWatch
 from twostage_servo.axis.drive_report import DriveReport
@@ -8,7 +9,8 @@ from twostage_servo.axis.drive_states import DriveState
 from twostage_servo.axis.homing import Homing, HomingFailed
 from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback, Move
 from twostage_servo.axis.motion import Motion
-from twostage_servo.axis.state import BRAKING, CIA402, COMMANDED, DRIVEN, ENABLED, Event, State, next_state
+from twostage_servo.axis.reference import Reference
+from twostage_servo.axis.state import BRAKING, CIA402, COMMANDED, DRIVEN, ENABLED, LATCHED, Event, State, next_state
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import EVENTS, RULES, Trip, TripCode
 from twostage_servo.control.two_stage import Stage, TwoStageLaw
@@ -45,8 +47,10 @@ class Machine:
         Whether a drive that is told to be disabled obeys, and whether the axis stays where it is.
     motion
         The law, the response it is designed for, and which feedback it believes.
-    referenced
-        Whether positions can be trusted: the axis has been homed since it last lost its reference, or needs no homing.
+    reference
+        On what positions rest, and why they cannot be trusted where they cannot.
+    count
+        Whether the encoder goes on counting from where it was last seen.
     trip
         The latched trip, or None. A later one does not replace it, but its reaction wins if it is more severe.
     escalation
@@ -76,7 +80,8 @@ class Machine:
         self.motion = Motion(design, self.drive, resolution)
         self.supervision = Supervision(design, self.motion)
         self._admission = Admission(design, self.drive, resolution)
-        self.referenced = not self.settings.homing.required
+        self.reference = Reference(required=self.settings.homing.required)
+        self.count = CountWatch(design, resolution, self.drive.step)
         self.trip: Trip | None = None
         self.escalation: Trip | None = None
         self.trips: dict[TripCode, Trip] = {}
@@ -96,6 +101,14 @@ class Machine:
     def law(self) -> TwoStageLaw:
         """The law that drives the axis."""
         return self.motion.law
+
+    @property
+    def referenced(self) -> bool:
+        """Whether positions can be trusted: nothing has cast doubt on them since the axis was homed, or it needs none.
+
+        On what they rest then, :attr:`reference` says.
+        """
+        return self.reference.source is not None
 
     # What the tick does ----------------------------------------------------------------------------------------------
 
@@ -119,7 +132,10 @@ class Machine:
 
     def take_feedback(self, feedback: Feedback) -> None:
         """Take one decoded feedback frame; the newest of a tick counts."""
-        self.referenced = self.drive.take(feedback) and self.referenced
+        if not self.drive.take(feedback):
+            self.reference.lose(
+                "the axis was not seen for so long that it may have gone half of the range in which its encoder counts"
+            )
 
     def take_over(self, former: "Machine") -> None:
         """Know what a former axis on the same drive knew of it; both are disarmed, only the settings have changed.
@@ -129,15 +145,20 @@ class Machine:
         """
         self.drive.take_over(former.drive)
         self.disabled.take_over(former.disabled)
-        by_the_same_rules = self.settings.homing == former.settings.homing or not self.settings.homing.required
-        self.referenced = former.referenced and by_the_same_rules
+        self.count.take_over(former.count)
+        self.reference.take_over(former.reference)
+        if self.settings.homing.required and self.settings.homing != former.settings.homing:
+            self.reference.lose("[axis.homing] has changed")
 
     def take_heartbeat(self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False) -> None:
         """Take a heartbeat with its count of the drive's boots; a drive that has rebooted has lost its position."""
         if self.drive.take_heartbeat(boot_counter, state, late=late):
-            self.referenced = False
+            self.reference.lose("the drive has rebooted, and its encoder starts to count anew")
+            self.count.restart()
             self.disabled.motion.begin(0.0)
             self.raise_trip(TripCode.DRIVE_REBOOTED, "the drive has rebooted while it was enabled")
+        elif boot_counter is not None and not late:
+            self.count.take_proof()
 
     def take_foreign_command(self, frame: str, *, enables: bool | None = None) -> None:
         """Take a command to this axis' drive that is not its own; two masters can't hold one axis.
@@ -158,6 +179,11 @@ class Machine:
 
     def step(self) -> Command:
         """Close the tick: run the law, hold the limits, and return what goes to the drive."""
+        command = self._decide()
+        self._watch_count()
+        return command
+
+    def _decide(self) -> Command:
         state = self.state
         was_driven = state in DRIVEN
         if state in ENABLED:
@@ -193,7 +219,8 @@ class Machine:
             self.motion.distrust()
         elif rule.blind and not self.motion.blind:
             self.motion.go_blind()
-        self.referenced = self.referenced and not rule.unreferenced
+        if rule.unreferenced:
+            self.reference.lose(f"{code}: {rule.position_in_doubt}")
         if self.trip is None:
             self.trip = trip
         elif after is self.state and not rule.while_disabled:
@@ -251,6 +278,11 @@ class Machine:
         """Return code and text of what keeps a disarmed axis from being armed, or None."""
         if self._disabled_ticks < _DISABLED_TICKS:
             return "still_enabled", "the drive is only just being disabled: ask again."
+        if self.count.awaits_proof and not self.drive.is_stale:
+            return (
+                "heartbeat_lost",
+                "no heartbeat has come since the drive was silent, to say whether it has rebooted: ask again.",
+            )
         return self._admission.obstacle_to_arming(referenced=self.referenced)
 
     @property
@@ -296,6 +328,26 @@ class Machine:
 
     def _say_foreign(self) -> str:
         return f"another node on the bus commands this drive: {self.drive.foreign}"
+
+    def _watch_count(self) -> None:
+        """Lose the reference if the encoder may not count on from where it was, and trip if the axis moves by it."""
+        driven, law = self.state in DRIVEN, self.law
+        speed = abs(law.observer.velocity) if driven or self.motion.knows_speed else 0.0
+        if self.state in COMMANDED:
+            speed = max(speed, abs(law.cruise_velocity))
+        reason = self.count.look(
+            self._missed,
+            self.drive.position if self.drive.fresh else None,
+            speed,
+            driven=self.state in ENABLED,
+            homed=self.reference.is_homed,
+            counts_boots=self.drive.counts_boots,
+        )
+        if reason is None:
+            return
+        if driven and self.state not in LATCHED:
+            self.raise_trip(TripCode.POSITION_JUMP, reason)
+        self.reference.lose(reason)
 
     def _say_not_disabled(self) -> str:
         watch, unit = self.disabled, self.settings.unit
@@ -430,7 +482,8 @@ class Machine:
         self.drive.shift(position - found)
         self.disabled.motion.shift(position - found)
         self.motion.shift(position - found)
-        self.referenced = True
+        self.count.shift(position - found)
+        self.reference.find()
 
     def _end_move(self, outcome: str, reason: str | None = None) -> None:
         self._final_target = None

@@ -7,6 +7,9 @@ from pydantic import Field, model_validator
 from twostage_servo.exact import exact
 from twostage_servo.settings import Settings, quantity
 
+_BACK_OFF_WINDOWS = 20.0
+"""Position windows by which a hard stop is left, where the settings do not say."""
+
 
 class PlantSettings(Settings):
     """The model of the plant, drive included: G(s) = gain / (s (s + pole)), effort to position."""
@@ -275,3 +278,27 @@ class AxisSettings(Settings):
                 "lower it"
             )
         return self
+
+    @model_validator(mode="after")
+    def _homed_within_limits(self) -> Self:
+        homing, limits = self.homing, self.limits
+        if homing.method == "set_here" and "position" not in homing.model_fields_set:
+            return self  # the operator then has to tell a place: `home --here POSITION`
+        place, what = homing.position, "where the axis is when it has been homed"
+        if homing.method == "hard_stop":
+            place += self.back_off if homing.direction == "negative" else -self.back_off
+            what = f"so that the axis is at {place:g} when it has left the hard stop"
+        lowest = limits.position_minimum - limits.position_overrun
+        highest = limits.position_maximum + limits.position_overrun
+        if not lowest <= place <= highest:
+            raise ValueError(
+                f"homing.position = {homing.position:g}, {what}: that is outside limits.position_minimum = "
+                f"{limits.position_minimum:g} to position_maximum = {limits.position_maximum:g} with "
+                f"position_overrun = {limits.position_overrun:g}, where the axis trips; correct one of them"
+            )
+        return self
+
+    @property
+    def back_off(self) -> float:
+        """How far the axis leaves a hard stop that it has found, in axis unit."""
+        return self.homing.back_off or _BACK_OFF_WINDOWS * self.window.position

@@ -111,10 +111,20 @@ def describe(status: "Answer") -> str:
     return "\n".join(f"{name:16} {text}" for name, text in rows)
 
 
+def _reference(axis: "Answer") -> str:
+    """Return on what the positions of an axis rest."""
+    if not axis["referenced"]:
+        return f"not known: {axis['reference_lost']}"
+    if axis["reference"] == "encoder":
+        return "as the encoder counts them; the axis has not been homed since the service started"
+    return "homed"
+
+
 def _rows_of_axis(status: "Answer") -> list[tuple[str, str]]:
     axis, frames, bus = status["axis"], status["frames"], status["bus"]
     return [
         ("axis", line_of(status)),
+        ("positions", _reference(axis)),
         ("effort", f"{axis['effort']:.3f} {axis['effort_unit']}" + (" (at its limit)" if axis["saturated"] else "")),
         ("following error", f"{axis['following_error']:.3f} {axis['unit']}"),
         ("bus", f"open, controller {bus['controller']}" if bus["open"] else f"closed: {bus['error']}"),

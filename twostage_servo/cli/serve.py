@@ -195,12 +195,13 @@ async def _simulate(
     import dataclasses
 
     from twostage_servo.canbus.link import Link
-    from twostage_servo.simulation.drive import SimulatedDrive
+    from twostage_servo.simulation.drive import SimulatedDrive, boots_by_the_clock
     from twostage_servo.simulation.node import DriveNode
 
-    now_s = asyncio.get_running_loop().time()
+    now_s, boot_counter = asyncio.get_running_loop().time(), boots_by_the_clock()
     drives = [
-        SimulatedDrive(config.simulation, profile, now_s) for config, profile in zip(configs, profiles, strict=True)
+        SimulatedDrive(config.simulation, profile, now_s, boot_counter)
+        for config, profile in zip(configs, profiles, strict=True)
     ]
     nodes = [
         DriveNode(drive, Link(config.bus, profile.drive_identifiers), config.simulation.cycle_ms / 1e3)

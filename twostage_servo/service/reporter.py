@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.service.disabled_report import DisabledReport
 from twostage_servo.service.recorder import Record
 from twostage_servo.service.trip_files import TripFile
@@ -44,7 +45,8 @@ class Reporter:
         self._state = station.axis.state
         self._trip: Trip | None = None
         self._told = 1  # trips since the last reset, the first one apart
-        self._referenced = station.axis.referenced
+        self._source: ReferenceSource | None = None
+        self._lost_because: str | None = None
         self._stale = True
         self._disabled = DisabledReport(station.name, station.axis.design.period_s)
 
@@ -55,14 +57,31 @@ class Reporter:
         if axis.state is not self._state:
             self._log.info("state", tick=tick.index, before=self._state, now=axis.state)
             self._state = axis.state
-        if axis.referenced is not self._referenced:
-            self._referenced = axis.referenced
-            text = "the position is known" if axis.referenced else "the position is no longer known: home the axis"
-            self._log.warning(text, tick=tick.index)
+        self._report_reference(tick)
         if axis.drive.is_stale is not self._stale:
             self._stale = axis.drive.is_stale
             self._log.warning("feedback stale" if self._stale else "feedback fresh", tick=tick.index)
         self._disabled.report(tick.index, axis)
+
+    def _report_reference(self, tick: Tick) -> None:
+        reference = self._station.axis.reference
+        if (reference.source, reference.lost_because) == (self._source, self._lost_because):
+            return
+        begins = self._lost_because is None
+        self._source, self._lost_because = reference.source, reference.lost_because
+        if reference.source is ReferenceSource.ENCODER:
+            self._log.info(
+                "positions are those that the encoder counts: a place that was set before the service started is not "
+                "known",
+                tick=tick.index,
+            )
+        elif reference.source is ReferenceSource.HOMED:
+            self._log.warning("the position is known", tick=tick.index)
+        elif begins:
+            self._log.info("the position is not known: home the axis", tick=tick.index, reason=reference.lost_because)
+        else:
+            text = "the position is no longer known: home the axis"
+            self._log.warning(text, tick=tick.index, reason=reference.lost_because)
 
     def _report_trip(self, tick: Tick) -> None:
         axis = self._station.axis

@@ -40,6 +40,8 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "state": axis.state,
             "cia402": axis.cia402_state,
             "referenced": axis.referenced,
+            "reference": axis.reference.source,
+            "reference_lost": axis.reference.lost_because or None,
             "position": None if axis.drive.is_stale else axis.drive.position,
             "feedback_age_ms": None if age is None else round(1e3 * age * axis.design.period_s, 3),
             "velocity": law.observer.velocity if driven else None,

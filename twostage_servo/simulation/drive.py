@@ -1,5 +1,6 @@
 """The simulated drive: plant, encoder, firmware. Pure: it is told the time and given frames, and gives frames back."""
 
+import time
 from collections import deque
 from dataclasses import replace
 from math import inf, isfinite
@@ -23,6 +24,19 @@ READY_TO_SWITCH_ON = 1
 OPERATION_ENABLED = 3
 FAULT = 4
 SWITCH_ON_DISABLED = 7
+
+
+_TICKS_OF_THE_CLOCK_PER_BOOT = 100_000_000
+"""Nanoseconds: no drive is switched off and on more often than every 0.1 s."""
+
+
+def boots_by_the_clock() -> int:
+    """Return a boot counter that is another one than that of a drive which was started a while before.
+
+    A real drive keeps its count where a loss of its supply does not erase it. A process has no such memory, so the wall
+    clock stands in: a counter of 8 bits is a new one for 25 s, and one in 256 times the old one after that.
+    """
+    return time.time_ns() // _TICKS_OF_THE_CLOCK_PER_BOOT
 
 
 class SimulatedDrive:
@@ -168,7 +182,7 @@ class SimulatedDrive:
             self._disable()
             self._may_enable = False
 
-    def reboot(self, now_s: float, boot_s: float) -> None:
+    def reboot(self, now_s: float, boot_s: float, *, counts: bool = True) -> None:
         """Boot anew, as after a loss of its supply: disabled at once, and deaf and dumb until it has booted.
 
         The axis meanwhile coasts. The encoder, an incremental one, then counts from 0 where the axis is at that time.
@@ -179,6 +193,8 @@ class SimulatedDrive:
             Present time, s.
         boot_s : float
             How long it takes to boot, s; not negative.
+        counts : bool, optional
+            Whether the boot counter counts it; one that is not kept without supply shows the same again.
 
         Raises
         ------
@@ -195,7 +211,7 @@ class SimulatedDrive:
         self._command_counter = None
         self._feedback_counter = self._index_counter = 0
         self._feedback_asked = False
-        self._boot_counter += 1
+        self._boot_counter += counts
         self._booted_s = now_s + boot_s
 
     def receive(self, message: can.Message, now_s: float) -> None:

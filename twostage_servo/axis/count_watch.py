@@ -1,0 +1,169 @@
+"""Watches whether an encoder goes on counting from where it was last seen, above all after it was silent for a while.
+
+A drive that was switched off and on counts anew, and its encoder may then show any count. Three things tell it:
+
+1. The count has moved by more than ``axis.limits.overspeed`` allows in the time.
+2. After a long silence, the count has moved by more than the axis coasts. A hand may have pushed it as well, unseen.
+3. After a long silence nothing proves that the drive is still the one that it was. A boot counter does.
+
+The last two concern axes that were homed: where positions are the encoder's own count, it is taken for one that keeps
+its count. A silence is long when an armed axis trips by it in any case.
+"""
+
+from collections.abc import Callable
+
+from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+
+_SAMPLES_BEYOND = 2
+"""Samples in a row that are a count which has moved: one is a spike."""
+
+_JITTER_TICKS = 1
+"""Ticks by which the time between two samples may be longer than it seems."""
+
+_SPEED_TICKS = 3
+"""Ticks of its speed that an axis goes beside what it coasts, before a disable command acts on it."""
+
+
+class CountWatch:
+    """Looks, once a tick, at what the encoder shows; see the module's text.
+
+    Parameters
+    ----------
+    design
+        The axis.
+    resolution
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+    distance
+        Returns how far it is from one position to another, in axis unit, the shorter way round a counter that wraps.
+
+    Attributes
+    ----------
+    awaits_proof
+        Whether only the drive's next heartbeat will say whether it is still the one that it was.
+    """
+
+    __slots__ = (
+        "_beyond", "_coast_s", "_design", "_distance", "_driven_s", "_long_silence", "_longest_silence", "_place",
+        "_range_s", "_silent_ticks", "_speed", "_ticks", "_tolerance", "awaits_proof",
+    )  # fmt: skip
+
+    def __init__(self, design: AxisDesign, resolution: float, distance: Callable[[float, float], float]) -> None:
+        settings, period_s = design.settings, design.period_s
+        self._design = design
+        self._distance = distance
+        self._tolerance = settings.limits.innovation + 2.0 * resolution
+        self._long_silence = design.ticks(settings.limits.stale_feedback_ms) + settings.limits.missed_ticks
+        self._coast_s = 1.0 / (settings.plant.pole * (1.0 - MODEL_ERROR)) + _SPEED_TICKS * period_s
+        self._driven_s = 1e-3 * settings.arming_timeout_ms
+        self._place: float | None = None  # the last sample that was believed
+        self._ticks = 0  # since the one that was believed
+        self._silent_ticks = 0  # since the last sample
+        self._longest_silence = 0  # in ticks, since the one that was believed
+        self._beyond = 0  # samples in a row, up to now, that are too far away
+        self._speed = 0.0  # largest speed that the axis may have had at the sample that was believed
+        self._range_s = self._coast_s  # for how long it may go on at that speed without being seen
+        self.awaits_proof = False
+
+    def look(
+        self, missed: int, position: float | None, speed: float, *, driven: bool, homed: bool, counts_boots: bool
+    ) -> str | None:
+        """Look at a tick.
+
+        Parameters
+        ----------
+        missed
+            Ticks that were missed just before it.
+        position
+            This tick's sample in axis unit; None if there is none.
+        speed
+            Largest speed that the axis has, or is commanded to have, in axis unit/s.
+        driven
+            Whether the drive may be enabled, so that it goes on with its last effort when the bus is lost.
+        homed
+            Whether positions count from a place that was found or told.
+        counts_boots
+            Whether the drive has a boot counter, and has told it before.
+
+        Returns
+        -------
+        str or None
+            Why the place of the axis is no longer known, if something shows that in this tick.
+        """
+        self._ticks += 1 + missed
+        self._silent_ticks += 1 + missed
+        reason = self._look_at_silence(homed=homed, counts_boots=counts_boots)
+        if position is None:
+            return reason
+        self._longest_silence = max(self._longest_silence, self._silent_ticks)
+        reason = self._look_at_count(position, homed=homed) or reason
+        if not self._beyond:
+            self._believe(position, speed, driven=driven)
+        self._silent_ticks = 0
+        return reason
+
+    def restart(self) -> None:
+        """Begin afresh: the drive says that it has booted."""
+        self._place = None
+        self._beyond = 0
+        self.awaits_proof = False
+
+    def take_proof(self) -> None:
+        """Take a heartbeat of a drive that has not booted since the one before; in a silence it proves nothing yet."""
+        if self._silent_ticks == 0:
+            self.awaits_proof = False
+
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower."""
+        if self._place is not None:
+            self._place += distance
+
+    def take_over(self, former: "CountWatch") -> None:
+        """Know what a former one on the same encoder knew."""
+        for name in (
+            "_beyond", "_longest_silence", "_place", "_range_s", "_silent_ticks", "_speed", "_ticks", "awaits_proof",
+        ):  # fmt: skip
+            setattr(self, name, getattr(former, name))
+
+    def _look_at_silence(self, *, homed: bool, counts_boots: bool) -> str | None:
+        if self._place is None or self._silent_ticks <= self._long_silence or not homed or self.awaits_proof:
+            return None
+        if counts_boots:
+            self.awaits_proof = True
+            return None
+        return (
+            f"no feedback has come for {self._ms(self._silent_ticks)} ms, more than the {self._ms(self._long_silence)} "
+            "ms of axis.limits.stale_feedback_ms and missed_ticks; the drive "
+            "has no boot counter that would prove that it was not switched off meanwhile and counts anew"
+        )
+
+    def _look_at_count(self, position: float, *, homed: bool) -> str | None:
+        if self._place is None:
+            return None
+        moved = self._distance(self._place, position)
+        unseen_s = (self._ticks + _JITTER_TICKS) * self._design.period_s
+        allowed, by = unseen_s * self._design.settings.limits.overspeed, "axis.limits.overspeed allows"
+        if homed and self._longest_silence > self._long_silence and self._speed * self._range_s < allowed:
+            allowed, by = self._speed * self._range_s, "an axis does that comes to rest by itself"
+        allowed += self._tolerance
+        self._beyond = self._beyond + 1 if abs(moved) > allowed else 0
+        if self._beyond < _SAMPLES_BEYOND:
+            return None
+        self._beyond = 0
+        unit = self._design.settings.unit
+        return (
+            f"what the encoder counts has moved by {moved:+.4g} {unit} within {self._ms(self._ticks)} ms, the longest "
+            f"silence in which was {self._ms(self._longest_silence)} ms; that is more than the {allowed:.4g} {unit} "
+            f"that {by}: the drive may have been switched off and counts anew, or the axis was moved unseen"
+        )
+
+    def _believe(self, position: float, speed: float, *, driven: bool) -> None:
+        shown = 0.0
+        if self._place is not None:
+            shown = abs(self._distance(self._place, position)) / (self._ticks * self._design.period_s)
+        self._speed = min(max(speed, shown), self._design.settings.limits.overspeed)
+        self._range_s = self._coast_s + (self._driven_s if driven else 0.0)
+        self._place = position
+        self._ticks = self._longest_silence = 0
+
+    def _ms(self, ticks: int) -> str:
+        return f"{1e3 * self._design.period_s * ticks:g}"
