@@ -172,7 +172,7 @@ def test_a_reference_that_is_not_given_need_not_lie_within_the_limits() -> None:
     """The axis may have an absolute encoder, or be homed by `home --here POSITION` alone."""
     for homing in ({}, {"required": True}):
         AxisSettings.model_validate(DEMO | {"homing": homing, "limits": DEMO["limits"] | {"position_minimum": 100.0}})
-    with pytest.raises(ValidationError, match="homing.position = 0"):
+    with pytest.raises(ValidationError, match=r"homing\.position = 0"):
         AxisSettings.model_validate(
             DEMO | {"homing": {"method": "switch"}, "limits": DEMO["limits"] | {"position_minimum": 100.0}}
         )

@@ -503,6 +503,24 @@ def test_home_here_counts_from_where_the_axis_stands(machine: Machine) -> None:
     assert machine.ask_disarmed("home")["axis"]["position"] == pytest.approx(0.0, abs=0.1)
 
 
+def test_a_drive_that_is_killed_and_started_again_is_not_taken_for_the_one_before(machine: Machine) -> None:
+    drive = machine.drive()
+    machine.service("axis.homing.required=true")
+    machine.ask_disarmed("home", "--here", "100")
+    machine.watch_until(lambda status: status["bus"]["drive_state"] is not None)
+    drive.end(signal.SIGKILL)
+    machine.drive()
+    status = machine.watch_until(
+        lambda status: not status["axis"]["referenced"] and status["axis"]["position"] is not None
+    )
+    assert (status["axis"]["reference"], status["trip"]) == (None, None)
+    machine.watch_until(lambda status: status["axis"]["cia402"] == "ready to switch on")
+    machine.ask("arm")
+    refused = machine.ask("move", "100", exit_code=3)["error"]
+    assert refused["code"] == "not_homed"
+    assert "rebooted" in refused["message"]
+
+
 def test_home_looks_for_the_switch(machine: Machine) -> None:
     machine.config.write_text(
         machine.config.read_text(encoding="utf-8") + "home_switch_from = -1000.0\nhome_switch_to = -10.0\n",

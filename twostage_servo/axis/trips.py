@@ -102,7 +102,7 @@ RULES: dict[TripCode, TripRule] = {
     TripCode.STALE_FEEDBACK: TripRule(
         _QUICK,
         "Check the drive's supply, its bus cable and its identifiers; if the cause speaks of late frames, find what "
-        "floods the bus. Then `reset` and `arm`.",
+        "floods the bus. Then `reset` and `arm`, and `home` where `status` says that the position is no longer known.",
         blind=True,
     ),
     TripCode.FEEDBACK_ERRORS: TripRule(
@@ -216,7 +216,8 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.HEARTBEAT_LOST: TripRule(
         _DISABLE,
-        "The drive's firmware may hang: look at its state, switch it off and on, then `reset` and `arm`.",
+        "The drive's firmware may hang: look at its state, switch it off and on, then `reset` and `arm`, and `home` "
+        "where `status` says that the position is no longer known.",
     ),
     TripCode.COMMANDS_DROPPED: TripRule(
         _QUICK,
@@ -230,7 +231,8 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.BUS_FAILED: TripRule(
         _DISABLE,
-        "Bring the bus back (interface, cable, whatever serves it); when `status` shows it open, `reset` and `arm`.",
+        "Bring the bus back (interface, cable, whatever serves it); when `status` shows it open, `reset` and `arm`, "
+        "and `home` where it says that the position is no longer known.",
     ),
     TripCode.INTERNAL_ERROR: TripRule(
         _QUICK,

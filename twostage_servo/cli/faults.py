@@ -21,7 +21,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     faults = verbs.add_parser(
         "faults",
         help="inject every fault into this axis in simulated time: how it reacts, how far it travels",
-        description="Inject 64 faults of bus, encoder, drive, host, operator and disk into the running service, in "
+        description="Inject 65 faults of bus, encoder, drive, host, operator and disk into the running service, in "
         "six phases of a move, the severe ones while homing and jogging as well, those of the encoder while stopping, "
         "in simulated time on the axis of a configuration, or on each axis of a machine. Shows the reaction, and the "
         "travel that it costs against what the limits allow. Five faults need real processes and real time; "

@@ -56,6 +56,18 @@ async def needs_homing(world: World) -> str | None:
     return "the axis still trusts its position" if world.axis.referenced else None
 
 
+async def right_or_not_trusted(world: World) -> str | None:
+    """Check that the axis is where it says it is, or does not trust its position."""
+    axis = world.axis
+    await world.until(lambda: not axis.drive.is_stale, _PATIENCE_S)
+    await world.seconds(5.0 * world.period_s)
+    if not axis.referenced:
+        return None
+    apart = abs((axis.drive.position or 0.0) - world.drive.position)
+    allowed = axis.settings.limits.innovation
+    return None if apart <= allowed else f"the axis trusts its position, which is off by {apart:.4g}"
+
+
 async def noticed_early(world: World) -> str | None:
     """Check that the trip came before the axis had gone ten times the innovation limit: 5 mm with 0.5 mm."""
     allowed = 10.0 * world.axis.settings.limits.innovation

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from random import Random
 
-from twostage_servo.axis.state import State
+from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.faults.world import World
 from twostage_servo.ticks import Tick
 
@@ -44,7 +44,11 @@ def spike(world: World, random: Random) -> None:
 
 def jump(world: World, random: Random) -> None:
     """Let all samples be off by the same from now on."""
-    height = random.choice((-1.0, 1.0)) * random.uniform(4.0, LARGEST_JUMP) * world.axis.settings.limits.innovation
+    limits = world.axis.settings.limits
+    size = random.choice((-1.0, 1.0)) * random.uniform(4.0, LARGEST_JUMP) * limits.innovation
+    # While nothing drives the axis a hand may push it as far.
+    pushed = 0.0 if world.axis.state in DRIVEN else 3.0 * world.period_s * limits.overspeed + 2.0 * limits.innovation
+    height = math.copysign(max(abs(size), pushed), size)
     world.change(measure=lambda position: position + height)
 
 
@@ -83,6 +87,24 @@ def fault_bit(world: World, random: Random) -> None:
 def reboot(world: World, _: Random) -> None:
     """Let the drive reboot: silent for 15 ms, disabled, and its encoder starts at 0."""
     world.drive.reboot(world.now_s, 0.015)
+    world.node.wake()
+
+
+def count_away_from_zero(world: World) -> None:
+    """Let the encoder show as much more as the axis goes in a second, so that one that counts anew shows another count.
+
+    To be called while the axis is disarmed and at rest, before it is told where it is.
+    """
+    offset = world.axis.settings.cruise_velocity
+    world.change(measure=lambda position: position + offset)
+
+
+def restart_with_the_old_boot_counter(world: World, _: Random) -> None:
+    """Let the drive be off for twice as long as an armed axis goes without feedback; it does not count its boots."""
+    limits = world.axis.settings.limits
+    off_s = 2.0 * (limits.stale_feedback_ms / 1e3 + (limits.missed_ticks + 1) * world.period_s)
+    world.change(measure=None)
+    world.drive.reboot(world.now_s, off_s, counts=False)
     world.node.wake()
 
 
