@@ -52,6 +52,7 @@ MAY_IMPORT = {
     "toml_lines": set[str](),
     "settings": set[str](),
     "ticks": set[str](),
+    "__main__": {"cli"},
     "exact": set[str](),
     "printable": set[str](),
     "worker_thread": set[str](),

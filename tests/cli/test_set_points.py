@@ -3,10 +3,13 @@
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from twostage_servo.cli import operate
 from twostage_servo.cli.main import build_parser
 from twostage_servo.cli.output import CommandError
+from twostage_servo.cli.typed_numbers import decimal
 
 
 @pytest.mark.parametrize(
@@ -26,6 +29,28 @@ def test_it_becomes_what_the_service_is_asked_for(typed: list[str], wanted: dict
 def test_anything_else_is_explained(typed: list[str]) -> None:
     with pytest.raises(CommandError, match="NAME=POSITION"):
         operate._wanted(build_parser().parse_args(["move", *typed]))
+
+
+@pytest.mark.parametrize(
+    "slip", ["1_0", "\u0661\u0662", "\uff11\uff12", "1e1_0", "0x10", "1,5", "- 5", "", "1 0", "x=1_0", "x="]
+)
+@pytest.mark.parametrize("verb", [["move"], ["move", "--by"], ["move", "1", "--velocity"], ["jog"], ["home", "--here"]])
+def test_what_looks_like_a_slip_is_no_number(verb: list[str], slip: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        build_parser().parse_args([*verb, slip])
+    assert ended.value.code == 2
+    assert "no number such as 400" in capsys.readouterr().err or slip.startswith("- ")
+
+
+@pytest.mark.parametrize("slip", ["1_0", "\u0661", "1.0", "1e1", "9" * 5000])
+def test_a_whole_number_is_one_of_plain_digits(slip: str) -> None:
+    with pytest.raises(SystemExit):
+        build_parser().parse_args(["watch", "--every", slip])
+
+
+@given(value=st.floats(allow_nan=False))
+def test_every_number_can_be_typed_as_python_writes_it(value: float) -> None:
+    assert decimal(repr(value)) == value == decimal(f" {value!r} ")
 
 
 def test_a_number_that_is_none_is_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:

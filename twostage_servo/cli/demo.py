@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
+from twostage_servo.cli.typed_numbers import decimal
 
 if TYPE_CHECKING:
     from twostage_servo.cli.demonstration import Sample
@@ -34,8 +35,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "a machine that is busy: 100 ms without feedback, 20 missed ticks, 250 ms of silence at the drive.",
     )
     add_options(demo, required=False)
-    demo.add_argument("--to", type=float, metavar="POSITION", help="set-point (default: 4 s of cruise away)")
-    demo.add_argument("--velocity", type=float, help="cruise velocity (default: axis.cruise_velocity)")
+    demo.add_argument("--to", type=decimal, metavar="POSITION", help="set-point (default: 4 s of cruise away)")
+    demo.add_argument("--velocity", type=decimal, help="cruise velocity (default: axis.cruise_velocity)")
     demo.add_argument("--fast", action="store_true", help="run in simulated time")
     demo.add_argument("--trace", type=Path, metavar="FILE", help="write every tick to a CSV file")
     demo.set_defaults(run=_demo)

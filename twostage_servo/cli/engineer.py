@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration, load_machine
 from twostage_servo.cli.output import CommandError, ExitCode, print_json, print_line
+from twostage_servo.cli.typed_numbers import decimal
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,7 +37,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )
     add_options(design, required=False)
     design.add_argument(
-        "--velocity", type=float, help="velocity for the change-over distance (default: the cruise velocity)"
+        "--velocity", type=decimal, help="velocity for the change-over distance (default: the cruise velocity)"
     )
     design.set_defaults(run=_design)
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, find_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+from twostage_servo.cli.typed_numbers import whole
 
 if TYPE_CHECKING:
     from twostage_servo.faults.campaign import Cell
@@ -28,9 +29,11 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--simulated leaves them out.",
     )
     add_options(faults, required=False)
-    faults.add_argument("--fault", type=int, action="append", metavar="N", help="only this fault; may be repeated")
+    faults.add_argument("--fault", type=whole, action="append", metavar="N", help="only this fault; may be repeated")
     faults.add_argument("--phase", choices=_PHASES, action="append", help="only this phase; may be repeated")
-    faults.add_argument("--seed", type=int, default=1, metavar="N", help="seed of noise, sizes and moments (default 1)")
+    faults.add_argument(
+        "--seed", type=whole, default=1, metavar="N", help="seed of noise, sizes and moments (default 1)"
+    )
     faults.add_argument("--html", type=Path, metavar="FILE", help="write the matrix as a page")
     faults.add_argument("--simulated", action="store_true", help="leave out the faults that need real processes")
     faults.set_defaults(run=_faults)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_machine
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+from twostage_servo.cli.typed_numbers import decimal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -34,7 +35,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     add_options(latency, required=False)
     latency.add_argument(
         "--seconds",
-        type=float,
+        type=decimal,
         default=10.0,
         help=f"how long (default 10, at most {_LONGEST_S:g}); the longer the surer",
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from twostage_servo.cli.output import CommandError, ExitCode, print_json, print_line
+from twostage_servo.cli.typed_numbers import whole
 
 _MARK: Final = "# Placed by `twostage-servo install-service`, which writes it anew; put changes into a drop-in.\n"
 _UNIT: Final = "twostage-servo@.service"
@@ -50,7 +51,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--print", action="store_true", dest="show", help="print the files, and place none")
     what.add_argument("--uninstall", action="store_true", help="remove what was placed")
-    parser.add_argument("--bit-rate", type=int, default=500_000, metavar="BIT/S", help="of the bus (default 500000)")
+    parser.add_argument("--bit-rate", type=whole, default=500_000, metavar="BIT/S", help="of the bus (default 500000)")
     parser.add_argument("--program", type=Path, help="path of twostage-servo (default: the one that runs)")
     parser.add_argument("--root", type=Path, default=Path("/"), help="folder to place the files below (default /)")
     parser.add_argument("--vendor", action="store_true", help="for a package: below /usr/lib, which /etc outranks")

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from twostage_servo.cli.axis_text import describe, line_of, lines_of, progress_line, reports_of, states_of, unheard_of
 from twostage_servo.cli.configuration import find_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
+from twostage_servo.cli.typed_numbers import decimal, whole
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,8 +32,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--recording", type=Path, metavar="FILE", help="write the last ticks, or those before the trip, to a CSV file"
     )
     watch = _verb(verbs, "watch", _watch, "follow the axis live")
-    watch.add_argument("--every", type=int, default=10, metavar="TICKS", help="ticks between two lines (default 10)")
-    watch.add_argument("--count", type=int, metavar="N", help="end after N lines")
+    watch.add_argument("--every", type=whole, default=10, metavar="TICKS", help="ticks between two lines (default 10)")
+    watch.add_argument("--count", type=whole, metavar="N", help="end after N lines")
     _verb(verbs, "arm", _arm, "enable the drive and hold the position at which the axis is")
     _verb(verbs, "disarm", _disarm, "bring the axis to rest and disable the drive")
     move = _verb(verbs, "move", _move, "move to a set-point")
@@ -43,17 +44,17 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         nargs="*",
         help="absolute set-point, in the axis' unit; NAME=POSITION for each of several axes, which arrive together",
     )
-    move.add_argument("--by", type=float, metavar="DISTANCE", help="relative to the set-point in force")
-    move.add_argument("--velocity", type=float, help="cruise velocity (default: the config's axis.cruise_velocity)")
+    move.add_argument("--by", type=decimal, metavar="DISTANCE", help="relative to the set-point in force")
+    move.add_argument("--velocity", type=decimal, help="cruise velocity (default: the config's axis.cruise_velocity)")
     move.add_argument("--wait", action="store_true", help="show progress until the position is reached")
     jog = _verb(verbs, "jog", _jog, "move for as long as this command runs, or for a time")
     jog._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
-    jog.add_argument("velocity", type=float, help="velocity, whose sign is the direction")
-    jog.add_argument("--seconds", type=float, metavar="S", help="end after S seconds (default: at Ctrl-C)")
+    jog.add_argument("velocity", type=decimal, help="velocity, whose sign is the direction")
+    jog.add_argument("--seconds", type=decimal, metavar="S", help="end after S seconds (default: at Ctrl-C)")
     home = _verb(verbs, "home", _home, "find the reference from which positions are counted")
     home._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
     home.add_argument(
-        "--here", type=float, metavar="POSITION", help="do not search: the axis stands at this position now"
+        "--here", type=decimal, metavar="POSITION", help="do not search: the axis stands at this position now"
     )
     stop = _verb(
         verbs, "stop", _stop, "bring the axis, or all axes, to rest and hold them there, whoever commands them"
@@ -77,7 +78,10 @@ def _verb(verbs: Any, name: str, run: Any, text: str) -> argparse.ArgumentParser
 
 def _set_point(text: str) -> tuple[str | None, float]:
     name, equals, number = text.rpartition("=")
-    return (name if equals else None), float(number)
+    try:
+        return (name if equals else None), decimal(number)
+    except argparse.ArgumentTypeError as error:
+        raise argparse.ArgumentTypeError(f"{text}: {error}" if equals else str(error)) from error
 
 
 def _connect(options: argparse.Namespace) -> "Client":

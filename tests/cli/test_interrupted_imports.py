@@ -1,0 +1,43 @@
+"""Ctrl-C while the program is still being imported ends it as at any other time."""
+
+import subprocess
+import sys
+
+import pytest
+
+INTERRUPTED = """
+import os, signal, sys
+class Finder:
+    def find_spec(self, name, *_):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+        return None
+sys.meta_path.insert(0, Finder())
+from twostage_servo.__main__ import entry_point
+sys.argv = ["twostage-servo", *{arguments!r}]
+entry_point()
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments"),
+    [
+        ("argparse", ["check"]),
+        ("twostage_servo.cli.main", ["check"]),
+        ("twostage_servo.cli.engineer", ["--version"]),
+        ("pydantic", ["check"]),
+        ("numpy", ["design"]),
+        ("twostage_servo.cli.client", ["stop"]),
+    ],
+)
+def test_an_interrupt_in_an_import_is_130_without_a_traceback(module: str, arguments: list[str]) -> None:
+    code = INTERRUPTED.format(module=module, arguments=arguments)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)  # noqa: S603
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
+def test_the_package_is_run_as_a_module() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "twostage_servo", "--version"], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout[:15]) == (0, "twostage-servo ")
