@@ -25,6 +25,7 @@ class Bench:
         self.law = SimpleNamespace(observer=observer, effort=0.0, effort_limit=24.0, saturated=False, stage=Stage.SPEED)
         motion: Any = SimpleNamespace(
             law=self.law,
+            doubts_sample=False,
             set_target=lambda target, velocity: self.asked.append((target, velocity)),
             stop=self.asked.append,
         )

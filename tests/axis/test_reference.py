@@ -200,6 +200,53 @@ def test_a_spike_while_disarmed_is_none() -> None:
 
 
 @pytest.mark.parametrize("armed", [True, False])
+@pytest.mark.parametrize("height", [0.8, -30.0, 200.0])
+def test_a_spike_is_not_taken_for_where_the_axis_stands(height: float, *, armed: bool) -> None:
+    rig = homed()
+    if armed:
+        rig.armed()
+    rig.sample += height
+    rig.tick()
+    with pytest.raises(Refused, match="ask again") as refused:
+        rig.axis.set_position(0.0)
+    assert refused.value.code == "busy"
+    rig.tick()
+    rig.axis.set_position(0.0)
+    assert rig.axis.drive.position == 0.0
+    assert not reason(rig.seconds(0.1))
+    assert rig.axis.drive.position == pytest.approx(0.0, abs=0.01)
+
+
+def test_after_a_jump_the_place_can_be_told() -> None:
+    rig = homed().cruising(target=700.0)
+    rig.sees = lambda position: position + 30.0
+    rig.seconds(1.0)
+    assert rig.state() is State.TRIPPED
+    rig.axis.reset()
+    rig.axis.set_position(10.0)
+    assert not reason(rig.seconds(0.1))
+
+
+def test_a_spike_at_the_edge_of_the_switch_is_not_taken_for_its_place() -> None:
+    homing = {"method": "switch", "direction": "positive", "velocity": 40.0, "slow_velocity": 10.0, "travel": 400.0}
+    rig = AxisRig(Axis(design_axis(axis_settings(homing), PERIOD_S), 16, resolution=0.001)).seconds(0.1)
+    rig.inputs["home_switch"] = False
+    rig.armed().axis.home()
+    was_active = spiked = False
+    while rig.state() is State.HOMING:
+        active = rig.position >= 50.0
+        if was_active and not active and not spiked:
+            spiked = True
+            rig.sample += 20.0
+        was_active = rig.inputs["home_switch"] = active
+        rig.tick()
+    assert spiked
+    assert (rig.state(), rig.axis.reference.source) == (State.HOLDING, ReferenceSource.HOMED)
+    assert rig.axis.drive.position is not None
+    assert rig.sample - rig.axis.drive.position == pytest.approx(50.0, abs=0.5)
+
+
+@pytest.mark.parametrize("armed", [True, False])
 def test_a_jump_is_told_armed_or_not(*, armed: bool) -> None:
     rig = homed(required=False)
     if armed:

@@ -107,7 +107,7 @@ class Homing:
             case _Phase.STOP_BEYOND if at_rest:
                 self._phase = _Phase.BACK_OFF
                 self._go(-self._sign, self._settings.slow_velocity)
-            case _Phase.BACK_OFF if self._drive.fresh and not self._drive.home_switch:
+            case _Phase.BACK_OFF if self._drive.fresh and not (self._drive.home_switch or self._motion.doubts_sample):
                 self._find(self._drive.position)
             case _Phase.LEAVE if self._has_left():
                 self._phase = _Phase.STOP

@@ -206,6 +206,7 @@ class Motion:
         # Not dated: by the speed, which is what the samples have to tell in the first place.
         position = self._drive.position if self._drive.fresh else None
         self._ticks_since_tracked += 1
+        self.implausible = 0
         if self._drive.is_stale or self.blind:
             self.lose_track()
             self.blind = False
@@ -233,6 +234,11 @@ class Motion:
     def knows_speed(self) -> bool:
         """Whether enough samples have been seen in a row to say how fast the axis goes."""
         return self._tracking and self._samples_tracked > 1
+
+    @property
+    def doubts_sample(self) -> bool:
+        """Whether the latest sample is not where the model expects it, and may be a spike."""
+        return self._was_outlier or self.implausible > 0
 
     def go_blind(self) -> None:
         """Believe no feedback from here on: the model alone brings the axis to rest."""

@@ -115,9 +115,10 @@ def _reference(axis: "Answer") -> str:
     """Return on what the positions of an axis rest."""
     if not axis["referenced"]:
         return f"not known: {axis['reference_lost']}"
+    seen = "" if axis["position"] is not None else "; the axis is not seen just now"
     if axis["reference"] == "encoder":
-        return "as the encoder counts them; the axis has not been homed since the service started"
-    return "homed"
+        return "as the encoder counts them; the axis has not been homed since the service started" + seen
+    return "homed" + seen
 
 
 def _rows_of_axis(status: "Answer") -> list[tuple[str, str]]:
