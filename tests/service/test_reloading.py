@@ -3,6 +3,8 @@
 import asyncio
 import json
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.config import load
 from twostage_servo.machine import Machine
 from twostage_servo.service import assembly
+from twostage_servo.service import reloading as module
 from twostage_servo.service.assembly import frames_of
 from twostage_servo.service.axes_preparation import Job, Prepared, prepare
 from twostage_servo.service.control_socket import ControlSocket
@@ -171,3 +174,37 @@ def test_what_was_read_again_is_compared_with_what_is_read_next(file: Path) -> N
             await desk.prepare_reload("this process")
 
     simulate(script)
+
+
+@pytest.fixture
+def ending(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], str]:
+    """Let the process run a program that fails; return what is said of it."""
+
+    def run_it(program: str) -> str:
+        monkeypatch.setattr(module, "_COMMAND", (sys.executable, "-c", program))
+        with pytest.raises(subprocess.SubprocessError) as failed:
+            by_a_process(Job(None, (), b"", {}, 0.01))
+        return str(failed.value)
+
+    return run_it
+
+
+def test_of_a_process_that_fails_the_last_words_are_told(ending: Callable[[str], str]) -> None:
+    said = ending("import sys; sys.stderr.write('x' * 1000 + 'no such module\\n'); sys.exit(3)")
+    assert said.startswith("the process that reads it ended with code 3: xxx")
+    assert said.endswith("xxx" + "no such module")
+    assert len(said) < 600
+
+
+def test_the_process_finds_the_modules_and_the_environment_of_this_one(
+    ending: Callable[[str], str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setenv("A_SETTING", "kept")
+    said = ending("import os, sys; sys.exit(str(sys.path[1] + ' ' + os.environ['A_SETTING']))")
+    assert said.endswith(f"code 1: {tmp_path} kept")
+
+
+def test_a_process_that_takes_too_long_is_ended(ending: Callable[[str], str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LONGEST_S", 0.2)
+    assert "timed out after 0.2 s" in ending("import time; time.sleep(60)")

@@ -190,3 +190,52 @@ def test_what_an_answer_repeats_is_short(tmp_path: Path) -> None:
         await asyncio.sleep(0)
 
     serve(tmp_path / "s", script)
+
+
+def problem(text: str) -> str:
+    """Return what is said of a line that is no request; nothing if it is one."""
+    return judged(text.encode())[1]
+
+
+@pytest.mark.parametrize("position", [-1e9, 1e9, 0, -1, 1.5])
+def test_a_position_may_be_as_far_as_the_bound(position: float) -> None:
+    assert problem(json.dumps({"op": "move", "positions": {"x": position}})) == ""
+
+
+@pytest.mark.parametrize("position", ["-1.000001e9", "1.000001e9", "NaN", "Infinity", "true", '"1"', "null", "[]"])
+def test_a_position_that_is_none_is_told_with_its_axis(position: str) -> None:
+    said = problem(f'{{"op": "move", "positions": {{"x": 1.0, "y": {position}}}}}')
+    assert said == "positions.y: a finite number from -1e9 to 1e9 is needed"
+
+
+def test_a_move_has_64_axes_at_most() -> None:
+    positions = {f"axis{number}": 0.0 for number in range(64)}
+    assert problem(json.dumps({"op": "move", "positions": positions})) == ""
+    assert problem(json.dumps({"op": "move", "positions": positions | {"more": 0.0}})) == (
+        "positions: 65 axes, and 64 are the most"
+    )
+
+
+@pytest.mark.parametrize(("length", "shown"), [(40, 40 * "k"), (41, 40 * "k" + "…")])
+def test_a_word_of_up_to_40_characters_is_repeated_whole(length: int, shown: str) -> None:
+    assert problem(json.dumps({"op": "stop", length * "k": 1})).startswith(
+        f"{shown}: no such key (there are axis, op, quick)"
+    )
+    assert problem(json.dumps({"op": length * "k"})).startswith(f"op: {shown} is none; the requests are ")
+
+
+def test_what_is_no_request_is_told_in_the_words_of_whoever_wrote_it() -> None:
+    assert problem("[1]") == 'a request should be an object, such as {"op": "status"}'
+    assert problem("{}").startswith("op: it has to name the request; the requests are ")
+    assert problem('{"op": 1}').startswith("op: it has to name the request; ")
+    assert problem("{").startswith("invalid JSON: ")
+    assert problem('{"op": "move", "velocity": null}') == "velocity is null: give it a value, or leave it out"
+    assert problem('{"op": "move", "position": "far"}').startswith("position: ")
+    several = problem('{"op": "watch", "every": "x", "axis": 1}')
+    assert {one.partition(":")[0] for one in several.split("; ")} == {"every", "axis"}
+
+
+def test_a_line_with_few_axes_has_4096_bytes() -> None:
+    assert longest_line([]) == longest_line(["x"]) == 4096
+    names = [f"a{number:03}" for number in range(200)]
+    assert longest_line(names) == 256 + 200 * (len('"a000"') + 2 + 30)

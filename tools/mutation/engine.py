@@ -249,7 +249,7 @@ def main(cores: int, plan: dict[str, Any], results: Path, paths: list[str]) -> N
     chosen = set(chosen_keys([mutant.key for _, mutant, _ in every], plan))
     mutants = [entry for entry in every if entry[1].key in chosen]
     named = {name: mutant for name, mutant, _ in mutants if name is not None and mutant.key not in plan["known"]}
-    reach = Reach(plan["reach"]["took_s"], plan["reach"]["tests"], frozenset(plan["reach"]["at_import"]))
+    reach = Reach(**plan["reach"] | {"at_import": frozenset(plan["reach"]["at_import"])})
     most_s = plan["most_tests_s"]
     if named and plan["most_s"] != 0.0:
         tests = {

@@ -19,7 +19,7 @@ SPENT = "MUTATION_SPENT"
 TIMES = 10.0
 """How many times longer than unmutated a test may take."""
 
-LEAST_CPU_S = 5.0
+LEAST_CPU_S = 3.0
 """What each may take in any case: other tests may have imported before what this one has to import."""
 
 OTHERWISE_CPU_S = 60.0

@@ -7,13 +7,14 @@ that goes on after new tests were written runs no other test unmutated again.
 import dataclasses
 import json
 import os
+import re
 import sys
 import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from types import CodeType, FrameType
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
@@ -26,6 +27,8 @@ PACKAGE = "twostage_servo"
 
 AT_IMPORT = ""
 """What stands for a test's name where a function is called while the tests are imported."""
+
+_MODULE: Final = re.compile(rf"{PACKAGE}(?:\.\w+)+")
 
 Found = dict[str, dict[str, Any]]
 """What a file of tests came to, by the test's name: ``took_s`` and ``calls``."""
@@ -121,28 +124,35 @@ class Reach:
         The tests that call a function, by ``path:Class.function``.
     at_import
         The functions that the import of the tests calls.
+    imports
+        The modules that a file of tests names, by the file.
     """
 
     took_s: dict[str, float]
     tests: dict[str, list[str]]
     at_import: frozenset[str]
+    imports: dict[str, list[str]] = dataclasses.field(default_factory=dict)
 
     def chosen(self, path: str, function: str, most_s: float) -> list[str]:
         """Return the tests to run for a mutant, in their order, as many as take `most_s` together, but one at least.
 
-        First come those of files that bear the module's name, then the quickest. Outside functions, and for a function
-        that no test calls in its own process, all count that call anything in the file or bear its name.
+        First come those of files that bear the module's name, then of those that import it, then the quickest. Outside
+        functions, and for a function that no test calls in its own process, all count that call anything in the file or
+        bear its name.
         """
-        stem = Path(path).stem
+        stem, module = Path(path).stem, path.removesuffix(".py").replace("/", ".")
 
         def is_named(test: str) -> bool:
             return stem in Path(test.partition("::")[0]).stem
+
+        def distance(test: str) -> int:
+            return 0 if is_named(test) else 1 if module in self.imports.get(test.partition("::")[0], ()) else 2
 
         tests = set(self.tests.get(f"{path}:{function}", ()))
         if not tests:
             tests = {test for key, found in self.tests.items() if key.startswith(path + ":") for test in found}
             tests |= set(filter(is_named, self.took_s))
-        ordered = sorted(tests, key=lambda test: (not is_named(test), self.took_s[test], test))
+        ordered = sorted(tests, key=lambda test: (distance(test), self.took_s[test], test))
         spent_s, chosen = 0.0, list[str]()
         for test in ordered:
             spent_s += self.took_s[test]
@@ -167,6 +177,7 @@ class KeptReach:
 
     def __init__(self, path: Path | None, tree: Path, tests: Sequence[str]) -> None:
         self._path = path
+        self._tree = tree
         files = [file for name in tests for file in _python_files(tree / name)]
         shared = sorted({str(file.relative_to(tree)) for file in _python_files(tree / "tests") if not _is_tests(file)})
         base = digest(tree, [PACKAGE, *shared])
@@ -203,7 +214,10 @@ class KeptReach:
                 for name in found["calls"]:
                     tests.setdefault(name, []).append(test)
         at_import = frozenset(name for entry in self._kept.values() for name in entry["at_import"])
-        return Reach(took_s, tests, at_import)
+        imports = {
+            file: sorted(set(_MODULE.findall((self._tree / file).read_text(encoding="utf-8")))) for file in self._kept
+        }
+        return Reach(took_s, tests, at_import, imports)
 
 
 def _python_files(top: Path) -> list[Path]:

@@ -14,8 +14,8 @@ run after a time. Mutants are chosen in an order that has nothing to do with whe
 time: ``--sample 150`` is a fair sample, and ``--share 3/20`` the third of twenty parts, for CI.
 
 The tests run once unmutated, which shows what each calls and how long it takes (:mod:`reach`; kept beside the results).
-A mutant is tried with those that call its function: those of a file that bears the module's name, then the quickest,
-until they have taken ``--seconds`` together. So the score is a lower bound: what survives may be found by another test.
+A mutant is tried with those that call its function: those of a file that bears the module's name, of one that imports
+it, then the quickest, as many as take ``--seconds`` together. So the score is a lower bound: another may find the rest.
 
 The mutants are mutmut's (3.8), because it imports the tests once and forks for each mutant: three mutants a second,
 where cosmic-ray needs a process with numpy and scipy for each, two seconds before the first test. What mutmut leaves
@@ -33,6 +33,7 @@ that found it: an endless loop is noticed.
 """
 
 import argparse
+import dataclasses
 import importlib.util
 import json
 import os
@@ -170,7 +171,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="mutation-") as name:
         folder = Path(name)
         reach = what_tests_reach(folder, tests, options.results and options.results.with_suffix(".reach.json"))
-        plan["reach"] = {"took_s": reach.took_s, "tests": reach.tests, "at_import": sorted(reach.at_import)}
+        plan["reach"] = dataclasses.asdict(reach) | {"at_import": sorted(reach.at_import)}
         plan["kept"] = vars(kept)
         found = forked(folder, tests, paths, plan, options.jobs)
         mutants = verdicts(folder, tests, found, options.jobs, kept, until_s)

@@ -1,0 +1,142 @@
+"""What `status` shows: each value under its name, and nothing where nothing is known."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.service.rig import World, simulate
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
+from twostage_servo.service.snapshot import ready_for_json, report_service
+from twostage_servo.service.trip_files import TripFile
+
+
+def test_a_drive_that_was_never_heard_has_no_position_and_no_age() -> None:
+    async def script(world: World) -> dict[str, Any]:
+        return world.station.report()
+
+    report = simulate(script)
+    axis = report["axis"]
+    assert (axis["name"], axis["unit"], axis["effort_unit"]) == ("x", "mm", "V")
+    assert (axis["state"], axis["position"], axis["feedback_age_ms"]) == ("disarmed", None, None)
+    assert [axis[name] for name in ("velocity", "disturbance", "target")] == [None] * 3
+    assert axis["saturated"] is False
+    assert report["move"] is None
+    assert report["trip"] is None
+    assert report["bus"]["open"] is False
+    assert report["bus"]["error"] == "not opened yet"
+    assert (report["frames"]["age_us"], report["frames"]["feedback_to_command_us"]) == (None, None)
+
+
+def test_an_axis_in_mid_move_is_shown_with_its_estimates_and_its_move() -> None:
+    async def script(world: World) -> None:
+        await world.cruising(target=400.0, velocity=80.0)
+        axis, observer = world.axis, world.axis.law.observer
+        report = world.station.report()
+        shown = report["axis"]
+        assert shown["state"] == State.SPEED_STAGE
+        assert shown["velocity"] == observer.velocity == pytest.approx(80.0, rel=0.05)
+        assert shown["disturbance"] == observer.disturbance
+        assert shown["position"] == axis.drive.position == pytest.approx(world.drive.position, abs=2.0)
+        assert shown["effort"] == world.station.command.effort > 0.0
+        assert shown["target"] == 400.0
+        assert shown["following_error"] == axis.following_error
+        assert shown["feedback_age_ms"] in {0.0, 10.0}
+        assert shown["referenced"] is True
+        assert shown["saturated"] is False
+        assert axis.move is not None
+        assert report["move"] == {
+            "number": 1, "start": axis.move.start, "target": 400.0, "velocity": 80.0, "outcome": axis.move.outcome,
+            "kind": axis.move.kind, "reason": axis.move.reason,
+        }  # fmt: skip
+        assert report["drive"] == {"enabled": True, "disabling": False, "moved": None, "lasting": []}
+        assert report["bus"]["open"] is True
+        assert report["bus"]["error"] is None
+        assert report["bus"]["channel"] == "can0"
+        assert report["bus"]["controller"] == "active"
+        world.axis.law.saturated = True
+        assert world.station.report()["axis"]["saturated"] is True
+
+    simulate(script)
+
+
+def test_a_trip_is_shown_with_its_file_and_with_what_made_it_worse() -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+        world.axis.raise_trip(TripCode.FOLLOWING_ERROR, "first")
+        await world.seconds(0.01)
+        trip = world.station.report()["trip"]
+        first = world.axis.trip
+        assert first is not None
+        assert trip == {
+            "code": "following_error", "cause": "first", "next_action": first.next_action, "tick": first.tick,
+            "reaction": "quick_stop", "escalation": None, "codes": ["following_error"], "file": None,
+            "file_error": None,
+        }  # fmt: skip
+        world.axis.raise_trip(TripCode.DRIVE_FAULT, "second")
+        world.station.reporter.trip_file = file = TripFile()
+        file.path, file.error = Path("/var/trips/1.json"), "the disk is full"
+        trip = world.station.report()["trip"]
+        assert trip["code"] == "following_error"
+        assert (trip["escalation"], trip["codes"]) == ("drive_fault", ["following_error", "drive_fault"])
+        assert (trip["file"], trip["file_error"]) == ("/var/trips/1.json", "the disk is full")
+
+    simulate(script)
+
+
+def test_each_counter_stands_under_its_name() -> None:
+    async def script(world: World) -> None:
+        await world.armed()
+        counters, monitor = world.station.port.link.counters, world.axis.drive.monitor
+        of_link = ["received", "sent", "rejected", "dropped", "errors", "overflowed", "overruns"]
+        of_monitor = ["late", "lost", "doubled", "reordered", "implausible"]
+        for number, name in enumerate(of_link, 1001):
+            setattr(counters, name, number)
+        for number, name in enumerate(of_monitor, 2001):
+            setattr(monitor, name, number)
+        world.axis.motion.predicted = 3001
+        counters.rejected_by_reason["remote"] = 4001
+        counters.errors_by_kind["bus_off"] = 5001
+        frames = world.station.report()["frames"]
+        assert [frames[name] for name in of_link] == list(range(1001, 1008))
+        assert [frames[name] for name in of_monitor] == list(range(2001, 2006))
+        assert frames["predicted"] == 3001
+        assert frames["rejected_by_reason"] == {"remote": 4001}
+        assert frames["errors_by_kind"] == {"bus_off": 5001}
+
+    simulate(script)
+
+
+@pytest.mark.parametrize("name", ["safe_torque_off", "positive_limit", "negative_limit", "home_switch"])
+def test_each_input_stands_under_its_name(name: str) -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        for one in ("safe_torque_off", "positive_limit", "negative_limit", "home_switch"):
+            setattr(world.axis.drive, one, one == name)
+        inputs = world.station.report()["inputs"]
+        assert [one for one, on in inputs.items() if on] == [name]
+
+    simulate(script)
+
+
+def test_what_all_axes_have_in_common() -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        await world.seconds(1.0)
+        report = report_service(world.service)
+        assert report["uptime_s"] == pytest.approx(world.service.uptime_s, abs=1e-3)
+        assert report["uptime_s"] > 1.0
+        assert report["lease"] == {"holder": None}
+        assert report["ticks"]["count"] == world.service.statistics.count
+        assert report["realtime"] is None
+        world.service.host = lambda: {"spin": "off"}
+        assert report_service(world.service)["realtime"] == {"spin": "off"}
+
+    simulate(script)
+
+
+def test_what_is_no_number_in_json_is_null() -> None:
+    values = [1.5, math.nan, math.inf, -math.inf, None, "nan", 7, True]
+    assert ready_for_json(values) == [1.5, None, None, None, None, "nan", 7, True]
