@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
 from mutation.limits import LEAST_CPU_S, OTHERWISE_CPU_S, TIMES, allowed_s
 from mutation.mutant import Mutant
-from mutation.reach import OUTPUT, KeptReach, Reach
+from mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell
 from mutation.results import KeptResults, digest, in_order, share_of, with_status
 from mutation.rooms import ROOMS, Room, files_of, paths_of_tests
 from mutation.run import make_plan, share
@@ -202,9 +202,13 @@ def counted(tmp_path: Path) -> Path:
 
 def learn(tree: Path) -> KeptReach:
     kept = KeptReach(tree / "reach.json", tree, ["tests"])
+    source = tree / "twostage_servo/counter.py"
+    before = source.read_text()
+    let_functions_tell(tree)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "mutation.reach", "-p", "no:cacheprovider", *kept.unknown()]
     environ = environment(tree, tree / "none") | {OUTPUT: str(tree / "found.json")}
     subprocess.run(command, cwd=tree, env=environ, check=True, capture_output=True)  # noqa: S603 - fixed
+    source.write_text(before)
     kept.add(json.loads((tree / "found.json").read_text()))
     return kept
 

@@ -49,7 +49,7 @@ sys.path[0] = str(HERE.parent)
 
 from mutation.mutant import Mutant  # noqa: E402 - found by the path above
 from mutation.processes import verdicts  # noqa: E402 - likewise
-from mutation.reach import OUTPUT, KeptReach, Reach  # noqa: E402 - likewise
+from mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell  # noqa: E402 - likewise
 from mutation.results import KeptResults  # noqa: E402 - likewise
 from mutation.rooms import ROOMS, files_of, paths_of_tests  # noqa: E402 - likewise
 from mutation.summary import as_text, reasons, summarise  # noqa: E402 - likewise
@@ -76,6 +76,7 @@ def what_tests_reach(folder: Path, tests: list[str], path: Path | None) -> Reach
     kept = KeptReach(path, TREE, tests)
     if kept.unknown():
         tree, found = copied(folder / "unmutated"), folder / "reach.json"
+        let_functions_tell(tree)
         print(f"unmutated first: {len(kept.unknown())} files of tests", file=sys.stderr)
         command = [sys.executable, "-m", "pytest", "-q", "-p", "mutation.reach", *PYTEST, *kept.unknown()]
         environ = environment(tree, folder / "none.json") | {OUTPUT: str(found)}
