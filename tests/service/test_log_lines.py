@@ -16,8 +16,6 @@ from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.service.control_socket import ControlSocket, _Door
 from twostage_servo.service.port import Port
-from twostage_servo.service.trip_files import TripFiles
-from twostage_servo.simulation.virtual_clock import run
 from twostage_servo.ticks import Tick
 
 Lines = Iterable[Mapping[str, Any]]
@@ -86,9 +84,12 @@ def test_what_changes_on_an_axis_is_told_with_its_tick() -> None:
         {"event": "state", "log_level": "info", "before": "disarmed", "now": "arming"},
         {"event": "state", "log_level": "info", "before": "arming", "now": "holding"},
         {"event": "state", "log_level": "info", "before": "holding", "now": "tripped"},
-        {"event": "the position is no longer known: home the axis", "log_level": "warning"},
+        {
+            "event": "the position is no longer known: home the axis", "log_level": "warning",
+            "reason": "drive_rebooted: the encoder starts to count anew",
+        },
         {"event": "feedback stale", "log_level": "warning"},
-    ]
+    ]  # fmt: skip
 
 
 def test_a_recording_for_which_there_is_no_memory_is_told_where_no_file_is_written(
@@ -262,39 +263,3 @@ def test_that_nobody_can_be_let_in_is_told_with_the_time_until_the_next_attempt(
             "error": "PermissionError(1, 'Operation not permitted')", "retry_s": 1.0,
         }
     ]  # fmt: skip
-
-
-# Trip files -----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("error", "why"),
-    [(OSError("disk full"), "disk full"), (MemoryError(), "no memory is left"), (RuntimeError(), "RuntimeError")],
-)
-def test_a_trip_file_that_could_not_be_written_is_told_with_folder_and_reason(
-    tmp_path: Path, error: BaseException, why: str
-) -> None:
-    def fail(*_: object) -> Path:
-        raise error
-
-    async def write() -> None:
-        TripFiles(tmp_path, fail).write("x", {}, ())
-
-    with structlog.testing.capture_logs() as logs:
-        run(write())
-    assert logs == [
-        {
-            "event": "no trip file", "log_level": "error", "room": "trip_files",
-            "error": f"no trip file can be written in {tmp_path}: {why}",
-        }
-    ]  # fmt: skip
-
-
-def test_a_trip_file_is_told_with_its_path(tmp_path: Path) -> None:
-    async def write() -> None:
-        TripFiles(tmp_path).write("x", {}, ())
-
-    with structlog.testing.capture_logs() as logs:
-        run(write())
-    (file,) = tmp_path.iterdir()
-    assert logs == [{"event": "trip file", "log_level": "info", "room": "trip_files", "path": str(file)}]

@@ -14,6 +14,8 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.requests import MoveRequest, RecordingRequest
+from twostage_servo.service.trip_files import TripFiles
+from twostage_servo.simulation.virtual_clock import run
 
 
 def test_a_service_that_ends_says_once_in_which_states() -> None:
@@ -118,3 +120,39 @@ def test_a_move_by_a_way_begins_where_the_last_one_ended() -> None:
         assert (world.axis.move.target, world.axis.move.velocity) == (5.0, 20.0)
 
     simulate(script)
+
+
+# Trip files -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("error", "why"),
+    [(OSError("disk full"), "disk full"), (MemoryError(), "no memory is left"), (RuntimeError(), "RuntimeError")],
+)
+def test_a_trip_file_that_could_not_be_written_is_told_with_folder_and_reason(
+    tmp_path: Path, error: BaseException, why: str
+) -> None:
+    def fail(*_: object) -> Path:
+        raise error
+
+    async def write() -> None:
+        TripFiles(tmp_path, fail).write("x", {}, ())
+
+    with structlog.testing.capture_logs() as logs:
+        run(write())
+    assert logs == [
+        {
+            "event": "no trip file", "log_level": "error", "room": "trip_files",
+            "error": f"no trip file can be written in {tmp_path}: {why}",
+        }
+    ]  # fmt: skip
+
+
+def test_a_trip_file_is_told_with_its_path(tmp_path: Path) -> None:
+    async def write() -> None:
+        TripFiles(tmp_path).write("x", {}, ())
+
+    with structlog.testing.capture_logs() as logs:
+        run(write())
+    (file,) = tmp_path.iterdir()
+    assert logs == [{"event": "trip file", "log_level": "info", "room": "trip_files", "path": str(file)}]
