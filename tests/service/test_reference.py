@@ -14,6 +14,7 @@ from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.axis.state import State
 from twostage_servo.canbus.link import BusSettings, LinkError
+from twostage_servo.cli.axis_text import describe
 from twostage_servo.service.requests import REQUESTS
 from twostage_servo.simulation.bus import Wire
 
@@ -151,6 +152,26 @@ def test_a_service_that_starts_again_says_that_a_place_is_no_longer_known() -> N
         assert (shown["referenced"], shown["reference"], shown["reference_lost"]) == (True, "homed", None)
         world.axis.set_position(0.0)
         assert world.axis.reference.source is ReferenceSource.HOMED
+
+    simulate(script)
+
+
+def test_status_says_on_what_positions_rest() -> None:
+    def told(world: World) -> str:
+        (line,) = [line for line in describe(world.service.snapshot()).splitlines() if line.startswith("positions ")]
+        return line.removeprefix("positions").strip()
+
+    async def script(world: World) -> None:
+        assert told(world).endswith("has not been homed since the service started; the axis is not seen just now")
+        await world.until(lambda: world.axis.ready_to_arm)
+        assert told(world) == "as the encoder counts them; the axis has not been homed since the service started"
+        world.axis.set_position(50.0)
+        assert told(world) == "homed"
+        world.drive.reboot(asyncio.get_running_loop().time(), 0.2)
+        await world.seconds(0.1)
+        assert told(world) == "homed; the axis is not seen just now"
+        await world.seconds(0.3)
+        assert told(world) == "not known: the drive has rebooted, and its encoder starts to count anew"
 
     simulate(script)
 
