@@ -33,7 +33,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Snapshots:
         world.wire.disturb = lambda sender, message, _: [] if sender == "drive" else [(0.0, message)]
         await world.seconds(0.1)
         tell("silent", world)
-        world.station.port.error = "socketcan can0 cannot be opened: Network is down"
+        world.station.port.error = "socketcan can0 cannot be opened: Network is down."
         world.axis.drive.forget()
         tell("closed", world)
         world.station.port.error = None
@@ -62,7 +62,7 @@ def test_a_verb_after_which_the_drive_should_be_off_says_that_nobody_knows_wheth
 ) -> None:
     assert run(monkeypatch, verb, shown[name])[0] == 3
     out = capsys.readouterr().out
-    assert out.startswith("x: disarmed at unknown mm; " + why)
+    assert out.startswith(f"x: disarmed at unknown mm; {why}\n")
     assert "x: it is not known whether the drive is off; its own command time-out has to have stopped it" in out
     assert run(monkeypatch, verb, shown["disarmed"])[0] == 0
     assert "not known" not in capsys.readouterr().out

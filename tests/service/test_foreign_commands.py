@@ -39,6 +39,7 @@ class Other:
     def __init__(self, world: World) -> None:
         self._world = world
         self._bus = world.wire.attach("another controller")
+        world.service.publishers.append(lambda _: self._bus.shutdown() if world.service.is_ending else None)
         self._counter = 0
 
     def send(self, effort: float, *, enable: bool) -> None:

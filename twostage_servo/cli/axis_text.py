@@ -70,7 +70,7 @@ def _of_trip(trip: "Answer") -> str:
 def unheard_of(status: "Answer") -> str:
     """Return why nothing is known of the drive at this moment; empty if it is heard."""
     if not status["bus"]["open"]:
-        return f"the bus is closed: {status['bus']['error']}"
+        return f"the bus is closed: {status['bus']['error'].rstrip('.')}"
     if status["axis"]["position"] is not None:
         return ""
     age_ms = status["axis"]["feedback_age_ms"]
