@@ -103,10 +103,10 @@ class AxisRig:
             self.tick()
         return self
 
-    def armed(self) -> "AxisRig":
+    def armed(self, for_s: float = 0.1) -> "AxisRig":
         self.seconds(0.05)
         self.axis.arm()
-        self.seconds(0.1)
+        self.seconds(for_s)
         assert self.state() is State.HOLDING
         return self
 

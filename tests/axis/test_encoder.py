@@ -68,7 +68,7 @@ def test_a_counter_that_ends_anywhere_changes_nothing(period: float, direction: 
         for _ in range(197):
             rig.position -= direction * 0.2
             rig.tick()
-        rig.armed()
+        rig.armed(0.4)  # it is still moved by hand, and has to stop
         for target in (direction * 80.0, direction * -80.0, 0.0):
             rig.axis.move_to(target, 100.0)
             rig.seconds(4.0)

@@ -109,7 +109,7 @@ def test_homing_to_a_hard_stop_never_pushes_harder_than_it_may() -> None:
     assert (
         max(abs(command.effort) for command in rig.commands) <= 3.05
     )  # what holds is the estimated load, not the limit
-    assert 1.0 <= 60.0 - rig.position <= 1.2  # 20 windows of 0.05 mm off it, and the way of the stop
+    assert 1.0 <= 60.0 - rig.position <= 1.25  # 20 windows of 0.05 mm off it, and the way of the stop
     assert rig.axis.drive.position == pytest.approx(rig.sample - 48.0, abs=0.01)
     assert abs(rig.commands[-1].effort) < 0.05
     assert rig.axis.law.effort_limit == 24.0
@@ -132,7 +132,7 @@ def test_after_a_hard_stop_the_axis_moves_off_it(effort: float, direction: str, 
             rig.position, rig.velocity = sign * 60.0, sign * min(sign * rig.velocity, 0.0)
 
     until(rig, lambda: rig.state() is not State.HOMING, 60.0, stop)
-    assert 56.8 <= sign * rig.position <= 57.0
+    assert 56.75 <= sign * rig.position <= 57.0
     rig.seconds(1.0)
     rig.axis.move_to(12.0 - sign * 40.0, 100.0)
     rig.seconds(4.0)

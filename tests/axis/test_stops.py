@@ -91,8 +91,14 @@ def test_without_feedback_the_model_stops_the_axis_as_well(velocity: float, ramp
 
 
 def test_the_formula_by_hand() -> None:
-    """250 mm/s: a tick is 2.5 mm; the effort swings 4000/180 V at 1000 V/s, 5.556 mm; the ramp 7.8125 mm."""
-    assert DESIGN.stopping_distance(250.0, QUICK) == pytest.approx(2.5 + 250.0 * 4.0 / 180.0 + 7.8125)
+    """250 mm/s: a tick is 2.5 mm; the effort swings 4000/180 V at 1000 V/s, 5.556 mm; the ramp 7.8125 mm.
+
+    At 160 mm/s a tick of the ramp, 40 mm/s, is a quarter of the speed: from there it takes 3.5 ticks of that speed,
+    5.6 mm, in place of the ramp's last 3.2 mm.
+    """
+    assert DESIGN.stopping_distance(250.0, QUICK) == pytest.approx(2.5 + 250.0 * 4.0 / 180.0 + 7.8125 + 5.6 - 3.2)
+    # At 80 mm/s it takes 20 mm/s away in a tick at most: 2000/180 V of effort.
+    assert DESIGN.stopping_distance(80.0, QUICK) == pytest.approx(0.8 + 80.0 * 2.0 / 180.0 + 3.5 * 0.8)
     assert DESIGN.stopping_distance(-250.0, QUICK) == DESIGN.stopping_distance(250.0, QUICK)
     # More than gain times effort limit, 4320 mm/s², can't be had, however steep the ramp.
     assert DESIGN.attainable(1e6) == pytest.approx(4320.0)

@@ -15,7 +15,7 @@ from twostage_servo.control.observer import (
 )
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant, Triple
-from twostage_servo.control.two_stage import Stage, TwoStageLaw
+from twostage_servo.control.two_stage import ENDING_SHARE, Stage, TwoStageLaw
 
 REST_SHARE = 0.01
 """Share of the velocity limit at or below which the axis counts as at rest: 2.5 mm/s of the demo's 250."""
@@ -99,7 +99,9 @@ class AxisDesign:
     def stopping_distance(self, velocity: float, deceleration: float) -> float:
         """Return how far the axis travels in a stop, in axis unit, not negative.
 
-        The ramp's own ``v²/2a``, a tick until the first effort of it acts, and the time that the effort rate takes.
+        The ramp's own ``v²/2a``, a tick until the first effort of it acts, the time that the effort rate takes, and the
+        gradual end: where a share s of the speed is less than a step of the ramp, ``a T``, the speed falls by that
+        share in a tick, which takes ``v T (1/s - 1/2)``.
 
         Parameters
         ----------
@@ -108,9 +110,11 @@ class AxisDesign:
         deceleration
             Slope of the speed reference, in axis unit/s².
         """
-        speed = abs(velocity)
-        delay_s = self.period_s + self.braking_effort_time_s(velocity, deceleration)
-        return speed * delay_s + speed**2 / (2.0 * self.attainable(deceleration))
+        speed, attainable = abs(velocity), self.attainable(deceleration)
+        ending_speed = min(speed, attainable * self.period_s / ENDING_SHARE)
+        ending_s = self.period_s * (1.0 / ENDING_SHARE - 0.5) - ending_speed / (2.0 * attainable)
+        steepest = min(attainable, ENDING_SHARE * speed / self.period_s)
+        return self._ramp_distance(speed, deceleration, steepest) + ending_speed * ending_s
 
     def certain_stopping_distance(self, velocity: float, deceleration: float) -> float:
         """Return how far the axis travels at most in a stop if its plant is off its model, in axis unit.
@@ -118,7 +122,13 @@ class AxisDesign:
         A plant that answers by a share less keeps that share of its speed when the ramp ends, and coasts.
         """
         coasting = abs(velocity) / self.settings.plant.pole
-        return self.stopping_distance(velocity, deceleration) + MODEL_ERROR * coasting
+        ramp = self._ramp_distance(abs(velocity), deceleration, deceleration)
+        return max(ramp + MODEL_ERROR * coasting, self.stopping_distance(velocity, deceleration))
+
+    def _ramp_distance(self, speed: float, deceleration: float, steepest: float) -> float:
+        """Return the way of a ramp to its sharp end, whose effort is that of a deceleration `steepest`."""
+        delay_s = self.period_s + self.braking_effort_time_s(speed, steepest)
+        return speed * delay_s + speed**2 / (2.0 * self.attainable(deceleration))
 
     def stopping_time_s(self, velocity: float, deceleration: float) -> float:
         """Return how long a stop takes, in s: the ramp, the effort rate, and until the rest has died down."""

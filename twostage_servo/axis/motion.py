@@ -7,6 +7,8 @@ from twostage_servo.axis.braking_estimate import BrakingEstimate
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.sample_gap import SampleGap
+from twostage_servo.axis.standing_load import StandingLoad
+from twostage_servo.control.two_stage import Stage
 
 IMPLAUSIBLE_SAMPLES = 2
 """Samples in a row beyond the innovation limit that are a fault: one is a spike, two are not."""
@@ -68,6 +70,7 @@ class Motion:
         self.unchanged_effort = 0.0
         self._gap = SampleGap(design)
         self._braking = BrakingEstimate(design)
+        self._load = StandingLoad(design)
         limits = design.settings.limits
         self._longest_prediction = max(limits.missed_ticks, design.ticks(_LONGEST_PREDICTION_MS))
         self._drive = drive
@@ -102,6 +105,7 @@ class Motion:
         self.model_test.start(self.law.observer, effort)
         self._gap.close()
         self._braking.start(self.law.observer, effort)
+        self._load.start()
         self._skipped = 0
         self._shown = self._stands_at = None
         self._stands = False
@@ -123,7 +127,9 @@ class Motion:
         """Come to rest with a deceleration in axis unit/s²; what the axis should do now is judged from here on."""
         if not self.blind:
             self._braking.apply(self.law.observer, in_doubt=False)
-        self.law.stop(deceleration)
+        observer = self.law.observer
+        friction = self._load.friction(observer.velocity, observer.disturbance)
+        self.law.stop(deceleration, friction, gradual=not self.blind)
         if self._stands_at is not None:  # what holds the axis, if it is not the encoder, must bear no more than it does
             self.law.effort_limit = max(abs(self.law.effort), self._limits.jam_effort)
         self.nominal.continue_from(self.law)
@@ -193,6 +199,8 @@ class Motion:
             self.model_test.update(shown, before, self.law.observer, self._speed_of_late, self._lag_s)
         if sample is not None:
             self._compare_with_the_last()
+        if self.law.stage is Stage.POSITION:
+            self._load.note(self.law.observer)
         corrected = sample is not None and not lag
         self._braking.note(
             self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_test.is_sure

@@ -12,6 +12,11 @@ A stop is not in the paper. Its two stages would take the change-over distance t
 the sum has to run off first. So a stop has a stage of its own. The reference ramps down, the model says which effort
 follows it, the observer's disturbance is cancelled, and the velocity error is fed back:
 ``u = (w(k+1) - a22 w(k)) / b2 - x3 + f_b (w(k) - x2)``, with w the ramped reference.
+
+The ramp ends gradually: no step takes more than a share of the speed that is left. A plant that answers by 30 % more,
+or with a period of delay more, would otherwise reverse by a whole step of a steep ramp. And the part of the disturbance
+that goes with the speed, such as friction that the model does not have, falls with the speed: an observer that takes it
+for a constant would drive the axis backwards by what it held against that friction.
 """
 
 import enum
@@ -24,6 +29,10 @@ from twostage_servo.control.plant import DiscretePlant
 BRAKING_SHARE = 0.3
 """Share of the velocity error that a stop takes away in a period, f_b b2: stable for half to twice the model's gain or
 pole, and with a period of delay more."""
+
+ENDING_SHARE = 0.25
+"""Largest share of its speed that a stop takes away in a period: what is under way when a sample shows that speed does
+not reverse a plant with 30 % more gain, or with a period of delay more."""
 
 REST_TICKS = 3
 """Periods for which the speed has to be low before a stop is done: one may be the estimate's own noise."""
@@ -40,7 +49,7 @@ class Stage(enum.IntEnum):
     BRAKE = 3
 
 
-_SPEED, _POSITION = Stage.SPEED, Stage.POSITION
+_POSITION, _BRAKE = Stage.POSITION, Stage.BRAKE
 """Looked up once: a member of an enumeration takes a twentieth of the whole step each time."""
 
 
@@ -89,15 +98,15 @@ class TwoStageLaw:
     """
 
     __slots__ = (
-        "_braking", "_braking_gain", "_changeover_time", "_direction", "_f11", "_f12", "_f22", "_largest_step",
-        "_offset", "_ramp", "_ramp_limit", "_rest_velocity", "_sum", "_ticks_at_rest", "changeovers", "cruise_velocity",
-        "effort", "effort_limit",
-        "observer", "period_s", "saturated", "speed_reference", "stage", "target",
+        "_braking", "_braking_gain", "_changeover_time", "_direction", "_ending_share", "_f11", "_f12", "_f22",
+        "_friction", "_largest_step", "_offset", "_ramp", "_ramp_limit", "_rest_velocity", "_smallest_step", "_sum",
+        "_ticks_at_rest", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer", "period_s",
+        "saturated", "speed_reference", "stage", "target",
     )  # fmt: skip
     sample_age = 1
     _STATE = (
         "stage", "target", "cruise_velocity", "speed_reference", "effort", "saturated",
-        "_sum", "_offset", "_ramp", "_braking", "_ticks_at_rest", "_direction",
+        "_sum", "_offset", "_ramp", "_braking", "_ending_share", "_friction", "_ticks_at_rest", "_direction",
     )  # fmt: skip
 
     def __init__(
@@ -118,6 +127,7 @@ class TwoStageLaw:
         self._braking_gain = braking_gain(observer.plant)
         self._largest_step = effort_rate_limit * period_s
         self._rest_velocity = rest_velocity
+        self._smallest_step = ENDING_SHARE * rest_velocity  # or it would never end
         self._changeover_time = gains.changeover_time_s(period_s)
         self._ramp_limit = acceleration_limit * period_s
         self.changeovers = 0
@@ -136,6 +146,8 @@ class TwoStageLaw:
         self._sum = 0.0
         self._offset = -position
         self._braking = False
+        self._ending_share = 1.0
+        self._friction = 0.0
         self._ticks_at_rest = 0
         self._direction = 1.0
 
@@ -178,13 +190,27 @@ class TwoStageLaw:
         elif self.stage is not Stage.SPEED:
             self._enter_speed_stage()
 
-    def stop(self, deceleration: float) -> None:
-        """Bring the axis to rest with a slope in axis unit/s², then hold where it comes to rest."""
+    def stop(self, deceleration: float, friction: float = 0.0, *, gradual: bool = False) -> None:
+        """Bring the axis to rest, then hold where it comes to rest.
+
+        Parameters
+        ----------
+        deceleration
+            Slope of the speed reference, in axis unit/s².
+        friction
+            By how much the disturbance changes with the speed, in effort unit s/axis unit: what the model's own
+            friction lacks, or has too much of. The observer's disturbance holds it at the present speed.
+        gradual
+            Whether the ramp ends by :data:`ENDING_SHARE` of the speed in a period. Where no sample corrects the model,
+            that would only cost distance: what a plant off its model does then, a gradual end does not change.
+        """
         if self.stage is not Stage.BRAKE:
             self.stage = Stage.BRAKE
             self.speed_reference = self.observer.velocity
             self._ticks_at_rest = 0
         self._ramp = deceleration * self.period_s
+        self._friction = friction
+        self._ending_share = ENDING_SHARE if gradual else 1.0
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower, as after homing; nothing moves."""
@@ -208,12 +234,18 @@ class TwoStageLaw:
         observer = self.observer
         if sample is None:
             sample = observer.position
+        if self.stage is _BRAKE:
+            before = observer.velocity
+            observer.update(sample, self.effort)
+            observer.disturbance += self._friction * (observer.velocity - before)
+            self.effort = self._braking_effort()
+            return self.effort
         observer.update(sample, self.effort)
         velocity = observer.velocity
         if self.stage is _POSITION:
             self._sum += self._f22 * (self.target - sample)
             effort = self._sum - self._f12 * velocity - self._f11 * (observer.position + self._offset)
-        elif self.stage is _SPEED:
+        else:
             effort = self._sum - self._f12 * velocity
             if self._speed_stage_ends():
                 self._enter_position_stage(effort)
@@ -222,9 +254,6 @@ class TwoStageLaw:
                 if self._braking or reference != self._direction * self.cruise_velocity:
                     reference = self._ramped_reference()
                 self._sum += self._f22 * (reference - velocity)
-        else:
-            self.effort = self._braking_effort()
-            return self.effort
         limit, step = self.effort_limit, self._largest_step
         if -limit <= effort <= limit and -step <= effort - self.effort <= step:  # within both: a call less each tick
             self.saturated = False
@@ -272,7 +301,7 @@ class TwoStageLaw:
             self._enter_position_stage(effort)
             return effort
         plant = observer.plant
-        step = min(ramp, self._steepest_step(abs(now)))
+        step = min(ramp, self._steepest_step(abs(now)), max(self._ending_share * abs(now), self._smallest_step))
         ahead = 0.0 if abs(now) <= step else now - copysign(step, now)
         wanted = (ahead - plant.a22 * now) / plant.b2 - observer.disturbance + self._braking_gain * (now - velocity)
         effort = self._limited(wanted)
