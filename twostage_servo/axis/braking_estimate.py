@@ -74,8 +74,14 @@ class BrakingEstimate:
         self._standing = 0.0
 
     def _without_corrections(self, observer: DisturbanceObserver) -> tuple[float, float]:
-        """Return speed and disturbance with which the estimate would go on as it does, were it corrected no more."""
-        plant, standing = self._plant, self._standing
+        """Return speed and disturbance with which the estimate would go on as it does, were it corrected no more.
+
+        What a plant off its model leaves standing goes with the speed. More than that is what late samples and commands
+        have left, and says nothing of how the axis goes on.
+        """
+        plant = self._plant
+        most = abs(observer.velocity * plant.a12 / self._gain1)
+        standing = min(max(self._standing, -most), most)
         change = self._gain1 * standing / plant.a12
         velocity = observer.velocity + change
         return velocity, observer.disturbance + (self._gain2 * standing + (1.0 - plant.a22) * change) / plant.b2

@@ -201,6 +201,10 @@ class Motion:
             self._compare_with_the_last()
         if self.law.stage is Stage.POSITION:
             self._load.note(self.law.observer)
+        elif self._stands and self.law.stage is Stage.BRAKE and not self.blind:
+            # It stands by friction, or its encoder has frozen. What that seems to push back with must not be held
+            # against: the axis would creep on behind an encoder that shows nothing.
+            self.law.observer.disturbance = self._load.load
         corrected = sample is not None and not lag
         self._braking.note(
             self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_test.is_sure
@@ -255,8 +259,12 @@ class Motion:
         self._stands_at = self._shown if self._stands else None
 
     def distrust(self) -> None:
-        """Give up the estimate as well as the feedback, and go on from what the model says of the speed."""
-        reckoning = self.model_test.reckon(self.model_test.better_factor or 0.0)
+        """Give up the estimate as well as the feedback, and go on from what the model says of the speed.
+
+        An encoder that shows one and the same position is taken to stand still, whichever hypothesis has told it first.
+        """
+        factor = 0.0 if self._stands else self.model_test.better_factor or 0.0
+        reckoning = self.model_test.reckon(factor)
         self.go_blind()
         observer = self.law.observer
         observer.velocity, observer.disturbance = reckoning

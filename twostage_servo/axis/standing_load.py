@@ -30,9 +30,14 @@ class StandingLoad:
     ----------
     design
         The axis.
+
+    Attributes
+    ----------
+    load
+        The part that does not go with the speed, in effort unit.
     """
 
-    __slots__ = ("_friction", "_load", "_rest_velocity")
+    __slots__ = ("_friction", "_rest_velocity", "load")
 
     def __init__(self, design: AxisDesign) -> None:
         self._friction = design.settings.plant.pole / design.settings.plant.gain  # of the model, effort per speed
@@ -41,13 +46,13 @@ class StandingLoad:
 
     def start(self) -> None:
         """Begin afresh, without a load."""
-        self._load = 0.0  # in effort unit
+        self.load = 0.0  # in effort unit
 
     def note(self, observer: DisturbanceObserver) -> None:
         """Account for a tick under position control: what friction does not explain at the present speed is load."""
         disturbance = observer.disturbance
-        rest = disturbance - self._load - self._likeliest(observer.velocity, disturbance) * observer.velocity
-        self._load += _SHARE * rest
+        rest = disturbance - self.load - self._likeliest(observer.velocity, disturbance) * observer.velocity
+        self.load += _SHARE * rest
 
     def friction(self, velocity: float, disturbance: float) -> float:
         """Return by how much the disturbance changes with the speed, in effort unit s/axis unit.
@@ -66,5 +71,5 @@ class StandingLoad:
         model = self._friction
         if not velocity:
             return 0.0
-        factor = (disturbance - self._load) / (velocity * model)
+        factor = (disturbance - self.load) / (velocity * model)
         return model * min(max(factor, _LEAST_FRICTION), _MOST_FRICTION)
