@@ -8,7 +8,7 @@ import pytest
 from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import Command, Feedback, Refused
+from twostage_servo.axis.messages import Command, Feedback
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 
@@ -20,7 +20,7 @@ LATE_SHARE = 0.9
 class LoadedRig(AxisRig):
     """A rig whose commands come late, which the drive samples at, and some of whose ticks are missed."""
 
-    chance: random.Random = field(default_factory=lambda: random.Random(1))
+    chance: random.Random = field(default_factory=lambda: random.Random(1))  # noqa: S311 - not for secrets
     dated: bool = False
     missing: float = 0.0
     acting: float = 0.0
@@ -54,11 +54,10 @@ class LoadedRig(AxisRig):
 
 
 def stopped(seed: int, *, dated: bool, missing: float) -> LoadedRig | None:
-    """Return a rig that has just come to rest from a jog; None if it has tripped before by what the host makes of it."""
+    """Return a rig that has just come to rest from a jog; None if the host has made it trip before."""
     settings = axis_settings(missed_ticks=40, stale_feedback_ms=400.0)
-    rig = LoadedRig(
-        Axis(design_axis(settings, PERIOD_S), 16, resolution=0.001), chance=random.Random(seed), dated=dated
-    )
+    chance = random.Random(seed)  # noqa: S311 - not for secrets
+    rig = LoadedRig(Axis(design_axis(settings, PERIOD_S), 16, resolution=0.001), chance=chance, dated=dated)
     rig.armed()
     rig.missing = missing
     for _ in range(60):
@@ -74,14 +73,11 @@ def stopped(seed: int, *, dated: bool, missing: float) -> LoadedRig | None:
     return rig if rig.state() is State.HOLDING else None
 
 
-def placed_beyond_the_limits(rig: LoadedRig) -> bool:
+def comes_to_rest(rig: LoadedRig) -> bool:
     for _ in range(30):
-        try:
-            rig.axis.set_position(3000.0)
-        except Refused:  # it still moves
-            rig.tick()
-        else:
-            return True
+        if abs(rig.axis.law.observer.velocity) <= rig.axis.design.rest_velocity:
+            return rig.state() is State.HOLDING
+        rig.tick()
     return False
 
 
@@ -92,14 +88,12 @@ def test_a_quick_stop_near_rest_does_not_kick_the_axis(*, dated: bool, missing: 
     tried = 0
     for seed in range(60):
         rig = stopped(seed, dated=dated, missing=missing)
-        if rig is None or not placed_beyond_the_limits(rig):
+        if rig is None or not comes_to_rest(rig):
             continue
         start, speed = rig.position, abs(rig.velocity)
         first = len(rig.commands)
+        rig.axis.raise_trip(TripCode.POSITION_LIMIT, "for the test")
         rig.seconds(1.0)
-        assert rig.axis.trip is not None
-        if rig.axis.trip.code is not TripCode.POSITION_LIMIT:
-            continue
         tried += 1
         assert max(abs(command.effort) for command in rig.commands[first:]) < 1.5
         assert abs(rig.position - start) < 0.35 + speed * (1.0 / 14.0 + PERIOD_S)
@@ -109,7 +103,7 @@ def test_a_quick_stop_near_rest_does_not_kick_the_axis(*, dated: bool, missing: 
 @pytest.mark.parametrize("ticks", range(9))
 @pytest.mark.parametrize("quick", [False, True])
 def test_an_encoder_that_freezes_in_a_stop_does_not_drive_the_axis_on(ticks: int, *, quick: bool) -> None:
-    """Neither by a gain that explains the first still sample, nor by holding against what an axis that stands would feel."""
+    """Neither by a gain that explains the first still sample, nor by what would hold an axis that stands."""
     rig = AxisRig().cruising(2000.0, 100.0)
     start = rig.position
     rig.axis.stop(quick=quick)

@@ -199,12 +199,7 @@ class Motion:
             self.model_test.update(shown, before, self.law.observer, self._speed_of_late, self._lag_s)
         if sample is not None:
             self._compare_with_the_last()
-        if self.law.stage is Stage.POSITION:
-            self._load.note(self.law.observer)
-        elif self._stands and self.law.stage is Stage.BRAKE and not self.blind:
-            # It stands by friction, or its encoder has frozen. What that seems to push back with must not be held
-            # against: the axis would creep on behind an encoder that shows nothing.
-            self.law.observer.disturbance = self._load.load
+        self._note_load()
         corrected = sample is not None and not lag
         self._braking.note(
             self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_test.is_sure
@@ -307,6 +302,15 @@ class Motion:
 
     def _gate(self, velocity: float) -> float:
         return self._limits.innovation + 1e-3 * self._limits.innovation_time_ms * abs(velocity)
+
+    def _note_load(self) -> None:
+        observer, stage = self.law.observer, self.law.stage
+        if stage is Stage.POSITION:
+            self._load.note(observer)
+        elif self._stands and stage is Stage.BRAKE and not self.blind:
+            # It stands by friction, or its encoder has frozen. What seems to hold it then must not be compensated: the
+            # axis would creep on behind an encoder that shows nothing.
+            observer.disturbance = self._load.load
 
     def _compare_with_the_last(self) -> None:
         """Compare what the encoder shows, not dated: an encoder that stands still has no speed to date it by."""

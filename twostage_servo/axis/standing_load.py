@@ -69,7 +69,8 @@ class StandingLoad:
     def _likeliest(self, velocity: float, disturbance: float) -> float:
         """Return the friction of an accepted plant that explains the most."""
         model = self._friction
-        if not velocity:
+        cruise_effort = velocity * model
+        if not cruise_effort:
             return 0.0
-        factor = (disturbance - self.load) / (velocity * model)
+        factor = (disturbance - self.load) / cruise_effort
         return model * min(max(factor, _LEAST_FRICTION), _MOST_FRICTION)
