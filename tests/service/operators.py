@@ -1,7 +1,9 @@
 """Operators at the control socket: real connections to the real service, in simulated time."""
 
 import asyncio
+import contextlib
 import json
+import socket
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -10,6 +12,8 @@ from tests.service.rig import World, simulate
 from twostage_servo.service.control_socket import ControlSocket
 
 Json = dict[str, Any]
+
+STATUS = b'{"op": "status"}\n'
 
 _operators: list["Operator"] = []
 
@@ -74,3 +78,39 @@ async def connect(path: Path) -> Operator:
     operator = Operator(*await asyncio.open_unix_connection(str(path)))
     _operators.append(operator)
     return operator
+
+
+async def call(callers: contextlib.ExitStack, path: Path, data: bytes = b"") -> socket.socket:
+    """Connect with a socket that never waits, and say something."""
+    caller = callers.enter_context(socket.socket(socket.AF_UNIX))
+    caller.setblocking(False)
+    while True:
+        with contextlib.suppress(BlockingIOError):
+            caller.connect(str(path))
+            break
+        await asyncio.sleep(0.001)
+    await say(caller, data)
+    return caller
+
+
+async def say(caller: socket.socket, data: bytes) -> None:
+    """Say all of it, however often the kernel has to be asked."""
+    while data:
+        try:
+            data = data[caller.send(data) :]
+        except BlockingIOError:
+            await asyncio.sleep(0.001)
+
+
+async def read_all(caller: socket.socket) -> list[Json]:
+    """Return what is said until the other side ends."""
+    data = b""
+    while True:
+        try:
+            piece = caller.recv(1 << 16)
+        except BlockingIOError:
+            await asyncio.sleep(0.001)
+            continue
+        if not piece:
+            return [json.loads(line) for line in data.splitlines()]
+        data += piece

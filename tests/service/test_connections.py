@@ -3,11 +3,10 @@
 import asyncio
 import contextlib
 import errno
-import json
 import os
 import random
 import socket
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -15,61 +14,15 @@ import structlog
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from tests.service.operators import connect, serve
+from tests.service.operators import STATUS, call, connect, read_all, serve
 from tests.service.rig import World
 from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import ControlSocket, _Door
 from twostage_servo.service.turns import Rank
 
-STATUS = b'{"op": "status"}\n'
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "control.sock"
-
-
-@pytest.fixture
-def callers() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as stack:
-        yield stack
-
 
 def descriptors() -> int:
     return len(os.listdir("/proc/self/fd"))  # noqa: PTH208 - the number only
-
-
-async def call(callers: contextlib.ExitStack, path: Path, data: bytes = b"") -> socket.socket:
-    caller = callers.enter_context(socket.socket(socket.AF_UNIX))
-    caller.setblocking(False)
-    while True:
-        with contextlib.suppress(BlockingIOError):
-            caller.connect(str(path))
-            break
-        await asyncio.sleep(0.001)
-    await say(caller, data)
-    return caller
-
-
-async def say(caller: socket.socket, data: bytes) -> None:
-    while data:
-        try:
-            data = data[caller.send(data) :]
-        except BlockingIOError:
-            await asyncio.sleep(0.001)
-
-
-async def read_all(caller: socket.socket) -> list[dict[str, object]]:
-    data = b""
-    while True:
-        try:
-            piece = caller.recv(1 << 16)
-        except BlockingIOError:
-            await asyncio.sleep(0.001)
-            continue
-        if not piece:
-            return [json.loads(line) for line in data.splitlines()]
-        data += piece
 
 
 def test_half_closed_clients_that_do_not_read_are_no_more_than_others(

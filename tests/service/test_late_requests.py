@@ -5,7 +5,6 @@ import contextlib
 import json
 import socket
 from collections import deque
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +20,6 @@ from twostage_servo.service.turns import Rank
 from twostage_servo.simulation.virtual_clock import VirtualClockLoop, run
 
 FREEZE_S = 8.0
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "control.sock"
-
-
-@pytest.fixture
-def callers() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as stack:
-        yield stack
 
 
 def call(callers: contextlib.ExitStack, path: Path, *requests: dict[str, Any]) -> socket.socket:

@@ -21,11 +21,6 @@ COMMANDS: list[dict[str, Any]] = [
 ]  # fmt: skip
 
 
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "control.sock"
-
-
 async def commanding(world: World, path: Path, position: float = 400.0) -> Operator:
     """Connect, arm, and move until the axis cruises."""
     operator = await connect(path)

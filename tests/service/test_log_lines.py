@@ -16,6 +16,7 @@ from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.service.control_socket import ControlSocket, _Door
 from twostage_servo.service.port import Port
+from twostage_servo.service.trip_files import TripFiles
 from twostage_servo.ticks import Tick
 
 Lines = Iterable[Mapping[str, Any]]
@@ -92,23 +93,32 @@ def test_what_changes_on_an_axis_is_told_with_its_tick() -> None:
     ]  # fmt: skip
 
 
-def test_a_recording_for_which_there_is_no_memory_is_told_where_no_file_is_written(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize("to_a_file", [False, True])
+def test_a_recording_for_which_there_is_no_memory_is_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *, to_a_file: bool
 ) -> None:
     def none_left(_: object) -> None:
         raise MemoryError
 
     async def script(world: World) -> None:
         await world.armed()
+        if to_a_file:
+            world.station.reporter.trip_files = TripFiles(tmp_path)
         monkeypatch.setattr(type(world.station.recorder), "keep", none_left)
         world.axis.raise_trip(TripCode.JAM, "test")
         await world.seconds(0.1)
+        error = world.service.snapshot()["trip"]["file_error"]
+        assert error == (why if to_a_file else None)
 
+    why = f"no trip file can be written in {tmp_path}: no memory is left"
     with structlog.testing.capture_logs() as logs:
         simulate(script)
-    assert of(logs, "no recording of the trip: no memory is left") == [
-        {"event": "no recording of the trip: no memory is left", "log_level": "error", "axis": "x"}
-    ]
+    told = of(logs, "no recording of the trip: no memory is left", "no trip file")
+    assert told == (
+        [{"event": "no trip file", "log_level": "error", "room": "trip_files", "error": why}]
+        if to_a_file
+        else [{"event": "no recording of the trip: no memory is left", "log_level": "error", "axis": "x"}]
+    )
 
 
 # A bus ----------------------------------------------------------------------------------------------------------------

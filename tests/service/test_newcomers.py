@@ -5,31 +5,19 @@ import contextlib
 import json
 import socket
 from collections import deque
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator
 from pathlib import Path
 
 import pytest
 
-from tests.service.operators import Operator, connect, serve
+from tests.service.operators import STATUS, Operator, call, connect, read_all, serve
 from tests.service.rig import World
-from tests.service.test_connections import STATUS, call, read_all
 from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.request_handler import Asker, Reply
 from twostage_servo.service.requests import Request
 
 STOP = b'{"op": "stop"}\n'
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "control.sock"
-
-
-@pytest.fixture
-def callers() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as stack:
-        yield stack
 
 
 async def moving(path: Path, world: World) -> Operator:

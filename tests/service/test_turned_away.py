@@ -5,28 +5,15 @@ import contextlib
 import json
 import os
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import structlog
 
-from tests.service.operators import connect, serve
+from tests.service.operators import STATUS, call, connect, serve
 from tests.service.rig import World
-from tests.service.test_connections import STATUS, call
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.newcomers import MOST_SILENT
-
-
-@pytest.fixture
-def path(tmp_path: Path) -> Path:
-    return tmp_path / "control.sock"
-
-
-@pytest.fixture
-def callers() -> Iterator[contextlib.ExitStack]:
-    with contextlib.ExitStack() as stack:
-        yield stack
 
 
 def heard(caller: socket.socket) -> list[dict[str, dict[str, str]]]:

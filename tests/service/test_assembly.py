@@ -1,0 +1,190 @@
+"""What a configuration becomes: each part gets the numbers that are its own."""
+
+import pickle
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import pytest
+
+from tests.service.rig import BUS, World, simulate
+from tests.service.test_recorder import record
+from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
+from twostage_servo.axis.messages import Feedback
+from twostage_servo.canbus.link import BusSettings
+from twostage_servo.cli.configuration import shipped_configuration
+from twostage_servo.config import ConfigError, load
+from twostage_servo.machine import Machine, load_machine
+from twostage_servo.service.assembly import (
+    build_service,
+    compile_profile,
+    cyclic_frames,
+    design,
+    frames_of,
+    socket_path,
+)
+from twostage_servo.service.axes_preparation import Job, prepare
+from twostage_servo.service.settings import ServiceSettings, longest_end_s
+
+PAGES = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1), "z": axis_page("z", "can1")}
+
+
+def keys(refused: "pytest.ExceptionInfo[ConfigError]") -> list[str]:
+    return [problem.key for problem in refused.value.problems]
+
+
+# A machine ------------------------------------------------------------------------------------------------------------
+
+
+def test_axes_of_one_channel_share_its_bus_and_all_of_them_the_machines_tick(tmp_path: Path) -> None:
+    path = machine_file(tmp_path, PAGES)
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("tick_ms = 10.0", "tick_ms = 5.0\nrecording_s = 1.5"), encoding="utf-8")
+    machine = load_machine(path)
+    service = build_service(machine)
+    assert service.ticks.period_s == pytest.approx(0.005)
+    assert [station.name for station in service.stations] == ["x", "y", "z"]
+    assert [[station.name for station in port.stations] for port in service.ports] == [["x", "y"], ["z"]]
+    assert [port.link.settings.channel for port in service.ports] == ["can0", "can1"]
+    for station in service.stations:
+        assert station.axis.design.period_s == pytest.approx(0.005)
+        assert station.port in service.ports
+        for index in range(400):
+            station.recorder.add(record(index))
+        assert len(station.recorder.records()) == 300
+
+
+def test_a_bus_that_is_given_takes_the_place_of_the_configured_ones(tmp_path: Path) -> None:
+    machine = load_machine(machine_file(tmp_path, PAGES | {"z": axis_page("z", "can1", offset=2)}))
+    opened: list[BusSettings] = []
+
+    def opener(settings: BusSettings) -> can.BusABC:
+        opened.append(settings)
+        raise can.CanError("no bus")
+
+    service = build_service(machine, BUS, opener)
+    (port,) = service.ports
+    assert port.link.settings is BUS
+    assert [station.name for station in port.stations] == ["x", "y", "z"]
+    with pytest.raises(Exception, match="no bus"):
+        port.link.open()
+    assert opened == [BUS]
+
+
+# An axis --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_design_is_for_the_tick_that_is_asked_for() -> None:
+    loaded = load(None)
+    assert design(loaded).period_s == pytest.approx(0.01)
+    assert design(loaded, 0.005).period_s == pytest.approx(0.005)
+
+
+def test_the_effort_limit_may_be_all_that_the_command_signal_carries() -> None:
+    profile = compile_profile(load(None))
+    loaded = load(None, [f"axis.limits.effort={profile.effort_limit}"])
+    build_service(loaded)
+    with pytest.raises(ConfigError, match="carries at most"):
+        build_service(load(None, [f"axis.limits.effort={1.001 * profile.effort_limit}"]))
+
+
+@pytest.mark.parametrize(("overrun", "taken"), [(15.0, True), (17.0, False)])
+def test_the_travel_that_an_encoder_must_tell_apart_has_the_overrun_at_both_ends(
+    overrun: float, *, taken: bool
+) -> None:
+    """Half a revolution is 32.77 mm, and the axis has 2 mm of travel between its limits."""
+    overrides = [
+        "protocol.feedback.position_scale=1.52587890625e-5", "axis.limits.position_minimum=-1",
+        "axis.limits.position_maximum=1", f"axis.limits.position_overrun={overrun}",
+        "axis.limits.stale_feedback_ms=500", "axis.limits.undetected_travel=30",
+    ]  # fmt: skip
+    if taken:
+        build_service(load(None, overrides))
+    else:
+        with pytest.raises(ConfigError) as refused:
+            build_service(load(None, overrides))
+        assert keys(refused) == ["axis.limits.stale_feedback_ms"]
+
+
+@pytest.mark.parametrize(("sampling", "age_s"), [("cyclic", 0.004), ("on_command", None)])
+def test_a_drive_with_a_rhythm_of_its_own_is_dated_by_its_frames(
+    monkeypatch: pytest.MonkeyPatch, sampling: str, age_s: float | None
+) -> None:
+    ages: list[float | None] = []
+
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        take = world.axis.take_feedback
+
+        def noted(feedback: Feedback) -> None:
+            ages.append(feedback.age_s)
+            take(feedback)
+
+        monkeypatch.setattr(world.station.port.link, "age_s", lambda _: 0.004)
+        monkeypatch.setattr(world.axis, "take_feedback", noted)
+        await world.seconds(0.1)
+
+    simulate(script, f"protocol.feedback.sampling='{sampling}'")
+    assert len(ages) > 5
+    assert (set(ages) == {age_s}) is (sampling == "cyclic")
+
+
+def test_each_axis_of_a_machine_has_a_recording_of_its_own(tmp_path: Path) -> None:
+    async def script(plant: Plant) -> None:
+        await plant.until(lambda: all(plant.axis(name).ready_to_arm for name in "xyz"))
+        plant.ask(op="arm", axis="y")
+        await plant.until(lambda: plant.axis("y").state == "holding")
+        for name in "xyz":
+            answer = plant.ask(op="recording", axis=name)
+            state = answer["records"][-1][answer["fields"].index("state")]
+            assert (state == "holding") is (name == "y")
+
+    operate(machine_file(tmp_path, PAGES), script)
+
+
+# The rest -------------------------------------------------------------------------------------------------------------
+
+
+def test_the_frames_that_go_for_ever_and_how_often() -> None:
+    loaded = load(None, ["axis.limits.heartbeat_ms=300"])
+    frames = cyclic_frames(loaded, compile_profile(loaded), 0.02)
+    assert [(frame.name, frame.period_s) for frame in frames] == [
+        ("command", 0.02), ("feedback", 0.02), ("heartbeat", pytest.approx(0.1)),
+    ]  # fmt: skip
+    profile = compile_profile(loaded)
+    assert frames[0].data_bytes == len(profile.encode_command(0.0, enable=False, counter=0))
+    assert not any(frame.extended for frame in frames)
+
+
+def test_where_the_socket_lies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TWOSTAGE_SERVO_SOCKET", str(tmp_path / "named"))
+    assert socket_path(ServiceSettings()) == tmp_path / "named"
+    assert socket_path(ServiceSettings(socket=str(tmp_path / "own"))) == tmp_path / "own"
+
+
+def test_how_long_the_end_may_take_is_the_braking_the_slowest_drive_and_what_comes_after() -> None:
+    settings = ServiceSettings(shutdown_timeout_ms=800.0)
+    assert longest_end_s(settings, ()) == pytest.approx(12.8)
+    assert longest_end_s(settings, (100.0, 700.0, 300.0)) == pytest.approx(13.5)
+
+
+@pytest.mark.parametrize(
+    ("table", "override"),
+    [
+        ("[service]", "service.tick_ms=20"),
+        ("[realtime]", "realtime.priority=7"),
+        ("[machine]", "axis.name='other'"),
+        ("[bus]", "bus.reopen_interval_ms=77"),
+        ("[protocol]", "protocol.identifier_offset=3"),
+    ],
+)
+def test_what_only_a_restart_can_follow_is_refused_by_its_table(table: str, override: str) -> None:
+    async def script(world: World) -> Callable[[], str | None]:
+        running = Machine.of(load(None))
+        frames = frames_of(world.service)
+        path = shipped_configuration("demo.toml")
+        return lambda: prepare(Job(path, (override,), pickle.dumps(running), frames, 0.01)).problem
+
+    problem = simulate(script)() or ""
+    assert table in problem
+    assert "only a restart of the service can follow that" in problem
