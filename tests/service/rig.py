@@ -106,8 +106,11 @@ def simulate(
     """Run service and drive in simulated time until the script ends; the demo's configuration with overrides."""
     loaded = load(None, overrides)
 
+    unseen: list[dict[str, object]] = []  # what went wrong in the loop, in a callback or a task that nobody waits for
+
     async def main() -> _Result:
         loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: unseen.append(context))
         wire = Wire(loop.time)
         service = build_service(loaded, bus, lambda _: opener(wire))
         service.ticks = ticks = BusyTicks(service.ticks.period_s)
@@ -130,4 +133,6 @@ def simulate(
             node.stop()
             await driving
 
-    return run(main())
+    result = run(main())
+    assert unseen == []
+    return result
