@@ -1,5 +1,6 @@
 """The lines of the log, whole: of a service that ends, of its lease, and of axes that react to each other."""
 
+import asyncio
 from pathlib import Path
 
 import pytest
@@ -150,7 +151,10 @@ def test_a_trip_file_that_could_not_be_written_is_told_with_folder_and_reason(
 
 def test_a_trip_file_is_told_with_its_path(tmp_path: Path) -> None:
     async def write() -> None:
-        TripFiles(tmp_path).write("x", {}, ())
+        files = TripFiles(tmp_path)
+        files.write("x", {}, ())
+        await asyncio.sleep(0.1)
+        assert not files._writing  # nothing is kept of what is done
 
     with structlog.testing.capture_logs() as logs:
         run(write())

@@ -1,0 +1,166 @@
+"""What becomes of a request, by itself: carried out, refused or dropped, and what the log is told of it."""
+
+import asyncio
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import structlog
+
+from tests.service.rig import World, simulate
+from tests.service.test_log_lines import of
+from twostage_servo.axis.state import State
+from twostage_servo.service.request_age import RequestAge
+from twostage_servo.service.request_handler import RequestHandler
+from twostage_servo.service.request_reading import parse_request
+from twostage_servo.service.status_lines import StatusLines
+
+
+@dataclass
+class Client:
+    """Who asks, and since when there was nothing of it."""
+
+    peer: str = "pid 1 uid 2 #3"
+    arrived_after_s: float = 0.0
+    gone: bool = False
+
+
+class Desk:
+    """A handler of requests of a service whose axis is armed."""
+
+    def __init__(self, world: World) -> None:
+        self.status = StatusLines(world.service)
+        self.handler = RequestHandler(world.service, self.status, RequestAge(0.01))
+
+    def ask(self, client: Client | None = None, *, age_s: float = 0.0, **fields: Any) -> dict[str, Any] | None:
+        """Return the answer of a request of this age; None if there is none."""
+        client = client or Client()
+        client.arrived_after_s = asyncio.get_running_loop().time() - age_s
+        reply = self.handler.answer(parse_request(json.dumps(fields).encode()), client)
+        line = b"".join(reply.pieces)
+        answer: dict[str, Any] | None = json.loads(line) if line else None
+        assert reply.done is (answer is not None and answer["ok"])
+        return answer
+
+
+def at_a_desk(script: Callable[[World, Desk], None]) -> list[Any]:
+    """Run a script with an axis that holds; return the lines of the log since then."""
+
+    async def main(world: World) -> list[Any]:
+        await world.armed()
+        with structlog.testing.capture_logs() as logs:
+            script(world, Desk(world))
+        return logs
+
+    return simulate(main)
+
+
+def test_what_is_carried_out_is_told_with_who_asked_for_what() -> None:
+    def script(world: World, desk: Desk) -> None:
+        answer = desk.ask(op="move", position=5.0)
+        assert answer is not None
+        assert answer["move"]["target"] == 5.0
+        desk.ask(op="status")
+        desk.ask(op="recording")
+        desk.ask(op="jog", velocity=1.0)
+
+    logs = at_a_desk(script)
+    assert of(logs, "request") == [
+        {
+            "event": "request", "log_level": "info", "room": "control_socket", "peer": "pid 1 uid 2 #3", "op": "move",
+            "position": 5.0,
+        }
+    ]  # fmt: skip
+
+
+def test_what_is_refused_is_told_to_the_client_and_to_the_log() -> None:
+    def script(_: World, desk: Desk) -> None:
+        answer = desk.ask(op="move", position=1e6)
+        assert answer is not None
+        said.update(answer["error"])
+        assert desk.ask(op="status", axis="y")["error"]["code"] == "which_axis"  # type: ignore[index]
+
+    said: dict[str, str] = {}
+    told, other = of(at_a_desk(script), "refused")
+    assert told == {
+        "event": "refused", "log_level": "warning", "room": "control_socket", "peer": "pid 1 uid 2 #3", "op": "move",
+        "code": said["code"], "reason": said["message"],
+    }  # fmt: skip
+    assert (other["op"], other["code"]) == ("status", "which_axis")
+
+
+def test_of_one_who_has_gone_only_what_brings_to_rest_is_carried_out() -> None:
+    def script(world: World, desk: Desk) -> None:
+        gone = Client(gone=True)
+        assert desk.ask(gone, op="move", position=5.0) is None
+        assert world.axis.state is State.HOLDING
+        assert desk.ask(gone, op="status") is not None
+        desk.ask(op="move", position=100.0)
+        assert desk.ask(gone, op="stop") is not None
+        assert world.state() is State.STOPPING
+
+    assert of(at_a_desk(script), "request dropped, its client has gone") == [
+        {
+            "event": "request dropped, its client has gone", "log_level": "warning", "room": "control_socket",
+            "peer": "pid 1 uid 2 #3", "op": "move",
+        }
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("age_s", "expired"), [(0.999, False), (1.001, True)])
+def test_a_command_expires_after_a_second(age_s: float, *, expired: bool) -> None:
+    def script(_: World, desk: Desk) -> None:
+        answer = desk.ask(age_s=age_s, op="move", position=5.0)
+        assert answer is not None
+        assert answer["ok"] is not expired
+        if expired:
+            assert answer["error"]["code"] == "expired"
+            assert "this move may have waited for 1.0 s" in answer["error"]["message"]
+            assert "1 s are the most" in answer["error"]["message"]
+
+    at_a_desk(script)
+
+
+@pytest.mark.parametrize("op", ["stop", "disarm", "release", "status"])
+def test_what_sets_nothing_in_motion_never_expires(op: str) -> None:
+    def script(_: World, desk: Desk) -> None:
+        desk.ask(op="move", position=100.0)
+        answer = desk.ask(age_s=100.0, op=op)
+        assert answer is not None
+        assert answer["ok"]
+
+    at_a_desk(script)
+
+
+def test_a_flood_of_stops_makes_a_report_for_the_first_alone() -> None:
+    def script(_: World, desk: Desk) -> None:
+        desk.ask(op="move", position=100.0)
+        states = [desk.ask(op="stop") for _ in range(5)]
+        made.append(desk.status.made)
+        desk.ask(op="status")
+        made.append(desk.status.made)
+        assert states == [states[0]] * 5
+        assert states[0] is not None
+        assert states[0]["axis"]["state"] == "stopping"
+
+    made: list[int] = []
+    at_a_desk(script)
+    assert made == [2, 2]  # of the move, and of the first stop
+
+
+def test_an_answer_that_cannot_be_made_ends_the_service() -> None:
+    def script(world: World, desk: Desk) -> None:
+        def broken(_: object) -> None:
+            raise RuntimeError("a defect")
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(type(world.station), "report", broken)
+            answer = desk.handler.answer(parse_request(b'{"op": "status"}'), Client())
+            told = json.loads(b"".join(answer.pieces))
+        assert told["error"]["code"] == "internal_error"
+        assert "RuntimeError: a defect; the service is stopping" in told["error"]["message"]
+        assert world.service.is_ending
+
+    at_a_desk(script)
