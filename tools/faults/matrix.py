@@ -25,10 +25,6 @@ KNOWN_MISSES = {
     ("example2", 20, "holding"): _WINDS_UP,
     ("free_running", 21, "homing"): _WANDERS,
     ("free_running", 22, "homing"): _WANDERS,
-    **dict.fromkeys(
-        (("rotary_table", 29, phase) for phase in ("idle", "accelerating", "cruising", "holding")),
-        "a plant that is so weak is taken for one of another gain first",
-    ),
 }
 """Configuration, number and phase of what is not met yet, and why. Each is shown as missed, and no other may be."""
 

@@ -1,6 +1,7 @@
 """The faults that the axis must meet, as data: what is injected, in which phases, what is expected, and its budget."""
 
 import enum
+import math
 import signal
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
 from twostage_servo.config import Config
-from twostage_servo.control.mismatch import NOISE_SHARE
+from twostage_servo.control.mismatch import ACCEPTED, GAIN_FACTORS, NOISE_SHARE
 from twostage_servo.faults import bus_faults, client_faults, drive_faults, host_faults, resource_faults
 from twostage_servo.faults.budget import Budget
 from twostage_servo.faults.checks import (
@@ -326,8 +327,9 @@ def _hidden_by_noise(config: Config) -> str:
     )
 
 
-_LEAST_GAIN = 0.5
-"""Share of its gain below which a plant is another one, which the model test tells."""
+_LEAST_GAIN = math.sqrt(min(gain for gain, _, _ in ACCEPTED) * min(gain for gain in GAIN_FACTORS if gain > 0.0))
+"""Share of its gain below which a plant is another one, which the model test tells: it is nearer to the hypothesis of
+too small a gain (0.45) than to the weakest plant that is accepted (0.7)."""
 
 
 def _ample_effort(config: Config) -> str:
