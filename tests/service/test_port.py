@@ -6,7 +6,8 @@ import errno
 import pytest
 import structlog
 
-from tests.service.rig import BUS
+from tests.service.rig import BUS, World, simulate
+from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.service.port import Port
 from twostage_servo.simulation.virtual_clock import run
@@ -118,3 +119,24 @@ def test_after_missed_ticks_as_much_more_is_read_up_to_ten(monkeypatch: pytest.M
         port.read(Tick(0, 0.0, 0.0, missed))
     usual = BUS.frames_read(0.01)
     assert asked == [usual, 2 * usual, 11 * usual, 11 * usual, 11 * usual]
+
+
+@pytest.mark.parametrize("where", ["drain", "send"])
+def test_an_axis_whose_bus_fails_is_told_why(where: str) -> None:
+    def broken(*_: object) -> None:
+        raise LinkError("the cable is out")
+
+    async def script(world: World) -> None:
+        await world.armed()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(world.station.port.link, where, broken)
+            await world.seconds(0.02)
+        trip = world.axis.trip
+        assert trip is not None
+        assert (trip.code, trip.cause) == (TripCode.BUS_FAILED, "the cable is out")
+        assert world.station.receiver.drive_state is None
+
+    with structlog.testing.capture_logs() as logs:
+        simulate(script)
+    told = [line for line in logs if line["event"] == "the bus failed"]
+    assert told == [{"event": "the bus failed", "log_level": "error", "bus": "can0", "error": "the cable is out"}]

@@ -164,6 +164,22 @@ def test_axes_that_move_together_set_out_and_arrive_together(two_buses: Path, po
     operate(two_buses, script)
 
 
+@pytest.mark.parametrize(("asked", "fastest"), [({"velocity": 20.0}, 20.0), ({}, 100.0)])
+def test_no_axis_of_a_move_is_faster_than_was_asked_or_than_its_own_cruise_velocity(
+    two_on_one_bus: Path, asked: dict[str, float], fastest: float
+) -> None:
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        plant.ask(op="move", positions={"x": 100.0, "y": 400.0}, **asked)
+        moves = [plant.axis(name).move for name in "xy"]
+        assert [move.target for move in moves if move is not None] == [100.0, 400.0]
+        slow, quick = (move.velocity for move in moves if move is not None)
+        assert quick == pytest.approx(fastest)
+        assert 0.15 * fastest < slow < 0.35 * fastest  # a quarter of the way
+
+    operate(two_on_one_bus, script)
+
+
 def test_a_move_of_several_axes_is_carried_out_whole_or_not_at_all(two_on_one_bus: Path) -> None:
     async def script(plant: Plant) -> None:
         await plant.armed()

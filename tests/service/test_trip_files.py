@@ -519,3 +519,14 @@ def test_the_file_of_an_earlier_trip_is_not_told_as_that_of_this_one(
                 world.axis.reset()
 
     simulate(script)
+
+
+def test_where_a_file_system_has_no_locks_the_files_are_written_and_kept(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def none_here(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(fcntl, "flock", none_here)
+    write_several(tmp_path, "first", "second")
+    assert names_in(tmp_path) == ["first", "second"]
