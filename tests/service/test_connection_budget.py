@@ -165,6 +165,8 @@ def test_those_who_speak_are_named_no_more_than_so_many_at_once_and_with_the_tim
             assert one.arrived_after_s == 1.0
             newcomers.remove_silent(one)
         (last,) = newcomers.speaking(3)
+        last.receive()
+        assert last.arrived_after_s == 1.0  # it had spoken when the others were heard
         assert {last, *spoke} == set(ones[:4])
         newcomers.close()
         assert all(one.closed for one in (last, ones[4]))

@@ -86,14 +86,15 @@ def test_shut_down_in_mid_move_ramps_and_disables() -> None:
     assert max(steps) <= 1000.0 * 0.01 + 0.001  # axis.limits.effort_rate, and a quantum
 
 
-def test_shut_down_ends_in_time_even_if_the_axis_does_not_come_to_rest() -> None:
+@pytest.mark.parametrize("acceleration", [2000.0, 150.0], ids=["at rest by then", "braking for longer"])
+def test_shut_down_ends_in_time_even_if_the_axis_does_not_come_to_rest(acceleration: float) -> None:
     async def script(world: World) -> None:
         await world.cruising()
         world.service.shut_down()
         await asyncio.wait_for(world.serving, 0.2)
         assert world.state() is State.DISARMED
 
-    simulate(script, "service.shutdown_timeout_ms=100")
+    simulate(script, "service.shutdown_timeout_ms=100", f"axis.limits.acceleration={acceleration}")
 
 
 def test_a_service_that_stops_sending_is_stopped_by_the_drive() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import structlog
 
 from tests.service.rig import World, simulate
 from tests.service.test_reload import DEMO, change
@@ -167,8 +168,10 @@ def test_what_was_read_again_is_compared_with_what_is_read_next(file: Path) -> N
                 f"cruise_velocity = {velocity}",
             )
             await desk.prepare_reload("this process")
-            world.service.handle(ReloadRequest(op="reload"))
+            with structlog.testing.capture_logs() as logs:
+                world.service.handle(ReloadRequest(op="reload"))
             assert world.axis.settings.cruise_velocity == float(velocity)
+            assert logs == [{"event": "configuration read again", "log_level": "info", "config": str(file)}]
         change(file, 'channel = "twostage-servo-demo"', 'channel = "another"')
         with pytest.raises(Refused, match=r"\[bus\] has changed: only a restart"):
             await desk.prepare_reload("this process")

@@ -164,3 +164,27 @@ def test_an_answer_that_cannot_be_made_ends_the_service() -> None:
         assert world.service.is_ending
 
     at_a_desk(script)
+
+
+def test_a_reload_is_not_too_late_after_a_long_preparation_that_was_begun_in_time() -> None:
+    async def main(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        put: list[str] = []
+
+        async def prepare() -> Callable[[], None]:
+            await world.seconds(5.0)
+            return lambda: put.append("in force")
+
+        world.service.desk.prepare = prepare
+        desk, reload = Desk(world), parse_request(b'{"op": "reload"}')
+        client = Client(arrived_after_s=asyncio.get_running_loop().time())
+        assert await desk.handler.prepare(reload, client) is None
+        assert desk.handler.answer(reload, client).done
+        assert put == ["in force"]
+        refused = await desk.handler.prepare(reload, client)  # which is too old by now to be begun
+        assert refused is not None
+        assert json.loads(b"".join(refused.pieces))["error"]["code"] == "expired"
+        assert not desk.handler.answer(reload, client).done
+        assert put == ["in force"]
+
+    simulate(main)

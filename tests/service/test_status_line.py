@@ -4,6 +4,7 @@ from tests.service.rig import World, simulate
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.status_line import WORDS, StatusLine, status_line
+from twostage_servo.ticks import Tick
 
 
 class Told:
@@ -99,5 +100,38 @@ def test_missed_ticks_and_the_end_are_told() -> None:
         assert lines[-1] == "x disarmed"
         world.service.shut_down()
         assert status_line(world.service, 0) == "ending | x disarmed"
+
+    simulate(script)
+
+
+def test_missed_ticks_are_those_of_whole_seconds() -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        lines: list[str] = []
+        line, statistics = StatusLine(world.service, Told(lines)), world.service.statistics
+        for index, missed in ((0, 0), (99, 3), (100, 4), (199, 4), (200, 4), (210, 9), (300, 9)):
+            statistics.missed = missed
+            line.publish(Tick(index, 0.01 * index, 0.0, 0))
+        assert lines == [
+            "x disarmed", "x disarmed | late, 4 ticks missed in the last second", "x disarmed",
+            "x disarmed | late, 5 ticks missed in the last second",
+        ]  # fmt: skip
+
+    simulate(script)
+
+
+def test_a_line_is_told_ten_times_a_second_at_most() -> None:
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        told: list[int] = []
+
+        def show(_: str) -> bool:
+            told.append(index)
+            return False
+
+        line = StatusLine(world.service, show)
+        for index in range(35):
+            line.publish(Tick(index, 0.01 * index, 0.0, 0))
+        assert told == [0, 10, 20, 30]
 
     simulate(script)
