@@ -95,6 +95,7 @@ def coasting(speed: float, pole: float, ticks: int, noise: list[float]) -> list[
 @settings(max_examples=300)
 @example(speed=30.0, error=0.71875, estimate=0.625, noise=[0.0625, 0.0625, 0.0], lost={0, 1, 2, 3, 4, 5})
 @example(speed=11.0, error=0.703125, estimate=0.0, noise=[0.0], lost={0, 1, 2, 3, 4, 5})
+@example(speed=88.0, error=0.701171875, estimate=0.0, noise=[0.0], lost={1, 2, 3, 4, 5, 6})
 def test_coasting_is_no_motion_whatever_the_estimate_was(
     speed: float, error: float, estimate: float, noise: list[float], lost: set[int]
 ) -> None:

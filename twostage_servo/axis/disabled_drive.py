@@ -77,7 +77,9 @@ class MotionWhileDisabled:
             self._anchor = position
             return
         if self._samples <= _SPEED_SAMPLES:
-            self._speed = max(self._speed, abs(position - last) / (ticks * self._period_s))
+            # It has been slowing down between the two samples: a mean speed over a gap is not that at its beginning.
+            slowing = self._pole * ticks * self._period_s
+            self._speed = max(self._speed, abs(position - last) * self._pole / -math.expm1(-slowing))
             self._ticks = 0
         self._beyond = self._beyond + 1 if abs(position - self._anchor) > self._allowed() else 0
         if self._beyond >= _SAMPLES_BEYOND or self.moved is not None:
