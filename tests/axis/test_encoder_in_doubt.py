@@ -254,6 +254,14 @@ def test_an_axis_whose_encoder_could_lie_for_long_is_refused_unless_it_says_for_
     assert allowed_travel(stated) == worst + 1.0
 
 
+def test_what_is_just_allowed_is_so_in_any_unit() -> None:
+    """A velocity of 250 mm/s for four ticks of 20 ms is 20 mm; in metres it came to 2e-17 m more than 0.02 m."""
+    worst = max(one.travel for one in detections(design_axis(axis_settings(), PERIOD_S)))
+    check_detection(design_axis(axis_settings(position_overrun=worst * (1.0 - 1e-12)), PERIOD_S))
+    with pytest.raises(DesignError, match="noticed only after"):
+        check_detection(design_axis(axis_settings(position_overrun=worst * (1.0 - 1e-6)), PERIOD_S))
+
+
 def test_where_it_could_lie_for_ever_no_distance_can_be_stated() -> None:
     design = design_axis(noisy(undetected_travel=1e6), PERIOD_S)
     with pytest.raises(DesignError, match=r"after any distance.* 5 mm .*innovation below the 1\.25 that") as caught:

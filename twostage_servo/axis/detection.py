@@ -33,6 +33,10 @@ _SLOWEST_SHARE = 1e-3
 """Share of the velocity limit below which it is not looked for the slowest speed at which a change is certain."""
 
 
+_ROUNDING = 1e-9
+"""Share by which two travels that are the same may differ where an axis is written in another unit."""
+
+
 @dataclass(frozen=True, slots=True)
 class Detection:
     """One change, and what it costs.
@@ -101,7 +105,7 @@ def check_detection(design: AxisDesign) -> None:
     """
     worst = max(detections(design), key=lambda one: one.travel)
     allowed, unit = allowed_travel(design), design.settings.unit
-    if worst.travel <= allowed:
+    if worst.travel <= allowed * (1.0 + _ROUNDING):
         return
     how_far = f"{worst.travel:.4g} {unit}" if math.isfinite(worst.travel) else "any distance"
     noise = design.noise.measurement_variance**0.5
