@@ -184,3 +184,36 @@ def test_a_tick_of_transport_delay_more_is_no_other_gain() -> None:
         before = effort
         verdicts.add(test.better_factor)
     assert verdicts == {None}
+
+
+@pytest.mark.parametrize("counts", [-1.0, 0.0, 0.5, 2.0])
+def test_another_origin_changes_no_verdict(counts: float) -> None:
+    """Whoever homes an axis in motion tells it another place; what its encoder does is judged as before."""
+    verdicts = []
+    for distance in (0.0, 1000.0):
+        bench = Bench(1.0).cruise(100.0)
+        bench.position += distance
+        bench.observer.position += distance
+        bench.test.shift(distance)
+        bench.change(counts)
+        bench.run([100.0 * PLANT.pole / PLANT.gain] * 60)
+        verdicts.append(bench.verdicts)
+    assert verdicts[0] == verdicts[1]
+    assert set(verdicts[0]) != {None}
+
+
+def test_a_sample_counts_for_the_time_at_which_it_was_taken() -> None:
+    """Some milliseconds before the instant of the effort, while the axis speeds up: with its date it is no surprise."""
+    surprise = {}
+    for lag_s, told_s in ((0.0, 0.0), (0.004, 0.004), (0.004, 0.0)):
+        bench = Bench(1.0)
+        for effort in RAMP:
+            sample = bench.position - bench.velocity * lag_s
+            bench.observer.update(sample + bench.observer.velocity * told_s, effort)
+            bench.test.update(sample, effort, bench.observer, 0.0, told_s)
+            bench.verdicts.append(bench.test.better_factor)
+            bench.position += bench.plant.a12 * bench.velocity + bench.plant.b1 * effort
+            bench.velocity = bench.plant.a22 * bench.velocity + bench.plant.b2 * effort
+        surprise[lag_s, told_s] = bench.test.surprise
+    assert surprise[0.004, 0.004] < 0.5 * surprise[0.004, 0.0]
+    assert surprise[0.0, 0.0] < 0.5 * surprise[0.004, 0.0]

@@ -24,9 +24,22 @@ class Room:
     tests: tuple[str, ...]
 
 
+_OF_AN_AXIS = ("backlog", "disabled_drive", "encoder_range", "foreign_commands", "reference")
+"""Tests of an axis with its drive on a bus, which stand beside those of the service."""
+
+_OF_CONTROL = ("encoder", "encoder_in_doubt", "stops_of_other_plants", "stops_under_load", "very_slow")
+"""Tests of the model's test and of the law with an axis around them."""
+
 ROOMS = {
-    "control": Room(("control",), ("tests/control",)),
-    "axis": Room(("axis",), ("tests/axis",)),
+    "control": Room(("control",), ("tests/control", *(f"tests/axis/test_{name}.py" for name in _OF_CONTROL))),
+    "axis": Room(
+        ("axis",),
+        (
+            "tests/axis",
+            "tests/cli/test_warnings_of_check.py",
+            *(f"tests/service/test_{name}.py" for name in _OF_AN_AXIS),
+        ),
+    ),
     "service": Room(("service",), ("tests/service", "tests/test_printable.py", "tests/canbus/test_slow_opening.py")),
     "client": Room(("cli/client.py", "client"), ("tests/cli", "tests/client", "tests/service/test_socket_trust.py")),
 }
