@@ -13,11 +13,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools" / "soak"))
 from axis_soak import AxisSoak
 from configurations import GATES, KINDS, Configuration, Kind, configuration, converted, drawn_by, quieter, variants
 from drive_model import DriveModel, EncoderModel
-from encoder_watch import ENCODER_FACTORS, travel_bound, undetected_travel
+from encoder_watch import ENCODER_FACTORS, certain_speed, travel_bound, undetected_travel
 from invariants import BrokenInvariantError, Invariants
 from run import EPISODE_TICKS, keep, kept_results, seeds_for, summarise
 from service_soak import ServiceSoak
 
+from twostage_servo.axis.detection import slowest_certain_velocity
 from twostage_servo.axis.messages import Command, Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -295,15 +296,73 @@ def test_a_motion_while_disabled_that_is_told_to_nobody_is_told(monkeypatch: pyt
         ticks(soak, 1)
 
 
-def test_another_scale_that_looks_like_a_plant_off_its_model_is_held_to_no_bound(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    ("gain", "before", "then", "told"),
+    [
+        (1.2, 100.0, 100.0, True),  # in a cruise it shows, whatever the plant
+        (1.2, 80.0, 100.0, False),  # speeding up it does not, and what it looks like is accepted
+        (0.8, 80.0, 100.0, True),  # a plant of 0.4 times the gain is not
+        (1.2, 0.0, 100.0, False),
+        (0.8, 0.0, 100.0, True),
+        (0.8, 0.0, 1.0, False),  # as slow as that it may creep
+    ],
+)
+def test_another_scale_is_held_to_a_bound_where_it_shows(
+    gain: float, before: float, then: float, *, told: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     soak = armed(soak_of(linear(), monkeypatch))
     far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.5)
-    for gain, speed, told in ((1.2, 0.0, False), (0.8, 0.0, True), (1.2, 100.0, True)):
-        soak.watch.begin(0.5, 0.0, speed, gain)
-        assert (soak.watch.look(far, 0.0, 0.0) is not None) is told
-        soak.watch.mended()
+    for _ in range(30):
+        soak.watch.look(0.0, before, 0.0)
+    soak.watch.begin(0.5, 0.0, then if before else 0.0, gain)
+    soak.watch.look(0.0, then, 0.0)
+    assert (soak.watch.look(far, then, 0.0) is not None) is told
+
+
+def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_jam_effort_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    jam, effort = soak.axis.settings.limits.jam_effort, soak.axis.law.effort
+    far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.0)
+    soak.watch.begin(0.0, 0.0, 0.0)
+    soak.watch.look(0.0, 0.0, effort + 1.1 * jam)
+    soak.watch.move_asked(0.0, 100.0, at_rest=True)
+    assert soak.watch.look(far, 1.0, effort + 0.9 * jam) is None
+    assert soak.watch.look(2.0 * far, 1.0, effort + 1.1 * jam) is not None
+
+
+def test_a_late_sample_of_a_fast_axis_hides_another_scale() -> None:
+    made = design(linear().load())
+    slowest = slowest_certain_velocity(made)
+    hidden = certain_speed(made, slowest, 250.0) / slowest
+    assert certain_speed(made, slowest, 0.0) == pytest.approx(slowest)
+    noise, late = 1.25 * made.noise.measurement_variance**0.5, 0.25e-3 * made.settings.limits.innovation_time_ms
+    assert hidden == pytest.approx((noise + 250.0 * late) / (noise + slowest * late))
+    assert hidden > 1.1
+
+
+def test_an_axis_that_speeds_up_is_held_to_the_bound_of_the_speed_that_was_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    soak.axis.move_to(400.0, 200.0)
+    ticks(soak, 5)
+    assert abs(soak.drive.velocity) < 100.0
+    soak.watch.begin(-1.0, 0.0, soak.drive.velocity)
+    bound = travel_bound(soak.axis.design, 200.0, -1.0)
+    assert soak.watch.look(0.99 * bound, 0.0, 0.0) is None
+    assert soak.watch.look(1.01 * bound, 0.0, 0.0) is not None
+
+
+def test_a_load_is_gone_before_an_encoder_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    soak.drive.load = 3.0
+    soak._encoder_fails()
+    assert soak.drive.load == 0.0
+    assert not soak.watch.active
+    soak._encoder_fails()
+    assert soak.watch.active
 
 
 # Running it -----------------------------------------------------------------------------------------------------------

@@ -194,7 +194,9 @@ class AxisSoak:
     def _encoder_fails(self) -> None:
         """Let the encoder count wrongly from here on, in whatever state the axis is driven."""
         drive = self.drive
-        drive.load = 0.0
+        if drive.load:  # one fault at a time: an estimate with a load that has just gone is wrong by itself
+            drive.load = 0.0
+            return
         busy = (
             max(drive.silent_until, drive.fault_until, drive.sto_until, drive.spike_at, drive.stuck_until) >= self._tick
         )

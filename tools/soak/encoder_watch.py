@@ -6,19 +6,23 @@ more; the latency; and coming to rest, by the quick stop or without effort, whic
 the motion that was asked for; an encoder that counts half lets the law drive twice as fast, and one that stands still
 lets the effort grow by the jam effort until it is told from friction.
 
-Another scale is told by the jump of the measured speed where it comes in motion, from the slowest speed on of which
-`check` says so. Later, or at rest, it is told from the answer to the effort alone, like a plant of another
-gain: one that is :data:`MODEL_ERROR` off is accepted, and what looks like such a one cannot be told from it. That is
-the limit of one encoder, and no travel is held to a bound then.
+Another scale is told by the jump of the measured speed where it comes in a cruise, from the slowest speed on of which
+`check` says so (:func:`certain_speed`). A plant off its model makes the estimate of the speed wrong while that changes:
+then, and at rest, the scale is told from the answer to the effort alone, like a plant of another gain. One that is
+:data:`MODEL_ERROR` off is accepted, and what looks like such a one cannot be told from it. That is the limit of one
+encoder, and no travel is held to a bound then. An axis that is slower than that speed may creep: what its encoder hides
+is less than its noise.
 """
 
 import math
+from collections import deque
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
 from twostage_servo.axis.detection import allowed_travel, slowest_certain_velocity
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
-from twostage_servo.axis.state import DRIVEN
+from twostage_servo.axis.state import BRAKING, COMMANDED, DRIVEN
+from twostage_servo.control.mismatch import DATE_SHARE, NOISE_SHARE
 
 ENCODER_FACTORS = {"turned round": -1.0, "counting double": 2.0, "counting half": 0.5, "frozen": 0.0}
 """What can become of an encoder, and how many units it then counts for one."""
@@ -28,6 +32,18 @@ REFUSED_GAINS = (0.45, 2.2)
 
 _SAMPLE_AGE_TICKS = 2
 """A fault may fall just behind a sample, and a sample is read a tick after it was taken."""
+
+_CRUISE_TICKS = 30
+"""Ticks after which the estimate of the speed is that of a cruise: as many as `check` lets pass before the fault."""
+
+_CRUISE_SHARE = 0.1
+"""Share by which the speed may have changed in them. A plant off its model makes the estimate wrong by up to
+:data:`MODEL_ERROR` of the change, 3 % of the speed, and an encoder that counts double shows twice that: 6 % of its
+jump. So the change explains the samples 277 times better than no change does, and it takes 50 times: that leaves a
+factor of five for what accepted plants make up for meanwhile."""
+
+_FADING = 0.998
+"""Share that is left a tick later of the largest speed, by which late samples are judged."""
 
 
 def undetected_travel(design: AxisDesign) -> float:
@@ -58,6 +74,27 @@ def travel_bound(design: AxisDesign, speed: float, factor: float) -> float:
     return undetected_travel(design) + reached * latency_s + rest + design.settings.window.position
 
 
+def certain_speed(design: AxisDesign, slowest: float, fastest: float) -> float:
+    """Return the speed (axis unit/s) from which on another scale of the encoder shows.
+
+    `check` finds it in a cruise. Nothing is decided below a surprise that is made up of the noise, and of what late
+    samples may be off at the largest speed of late. All that is compared with it goes with the speed, so that twice the
+    surprise takes twice the speed.
+
+    Parameters
+    ----------
+    design
+        The axis.
+    slowest
+        What `check` says, in axis unit/s.
+    fastest
+        Largest speed of late, in axis unit/s.
+    """
+    noise: float = NOISE_SHARE * design.noise.measurement_variance**0.5
+    share_s = DATE_SHARE * 1e-3 * design.settings.limits.innovation_time_ms
+    return slowest * (noise + share_s * max(slowest, fastest)) / (noise + share_s * slowest)
+
+
 class EncoderWatch:
     """Follows an axis from the moment at which its encoder begins to count wrongly.
 
@@ -86,6 +123,9 @@ class EncoderWatch:
         self._was_driven = False
         self._began = ""
         self._effort_before: float | None = None  # with which its encoder stood still, where that did not show
+        self._is_slow = False  # whether it has not been fast enough yet for its scale to show
+        self._speeds: deque[float] = deque(maxlen=_CRUISE_TICKS)
+        self._fastest = 0.0
 
     @property
     def active(self) -> bool:
@@ -111,9 +151,9 @@ class EncoderWatch:
         """
         self.factor, self._gain = factor, gain
         self._began = f"{self._axis.state} at {speed:.4g}"
-        shows = abs(speed) >= self._slowest
-        self._begin_motion(position, abs(speed), shows=shows)
-        self._effort_before = None if shows or factor else self._axis.law.effort
+        shows = abs(speed) >= self._certain_speed()
+        steady = self._axis.state in BRAKING or self._cruises(abs(speed))
+        self._begin_motion(position, max(abs(speed), self._speed_asked()), shows=shows, steady=steady)
 
     def move_asked(self, position: float, velocity: float, *, at_rest: bool) -> None:
         """Take a motion that was asked for, at a velocity in axis unit/s, of an axis at a true position."""
@@ -121,7 +161,7 @@ class EncoderWatch:
             return
         if at_rest:
             self._began += f", then from rest at {velocity:.4g}"
-            self._begin_motion(position, velocity, shows=False)
+            self._begin_motion(position, velocity, shows=False, steady=False)
         else:
             self._speed = max(self._speed, velocity)
             self._set_bound()
@@ -130,19 +170,19 @@ class EncoderWatch:
         """Look at the true axis (axis unit, axis unit/s) and its effort after a tick; say what is wrong, or None.
 
         An encoder that stands still at an axis too slow for its jump to show is friction's double: until the effort has
-        changed by the jam effort, which is more than its friction, nothing tells them apart, and the axis may creep.
+        changed by the jam effort, which is more than its friction, nothing tells them apart, and the axis may creep. So
+        may one with another scale, until it has been fast enough for that to show.
         """
+        self._speeds.append(abs(speed))
+        self._fastest = max(_FADING * self._fastest, abs(speed))
         begins, self._was_driven = not self._was_driven, self._axis.state in DRIVEN
         if begins and self._was_driven and (wrong := self._look_at_arming(position, speed)):
             return wrong
         if not self.active:
             return None
-        if self._effort_before is not None:
-            if abs(effort - self._effort_before) < self._axis.settings.limits.jam_effort:
-                self._origin = position
-                self._error_allowed = math.inf
-            else:
-                self._effort_before = None
+        if self._may_creep(abs(speed), effort):
+            self._origin = position
+            self._error_allowed = math.inf
         travel = abs(position - self._origin)
         self.closest = max(self.closest, travel / self._bound)
         if travel <= self._bound:
@@ -154,6 +194,14 @@ class EncoderWatch:
             f"{travel:.4g} {self._axis.settings.unit}, {self._bound:.4g} is the most; it is {self._axis.state}, "
             f"{'not tripped' if trip is None else trip.code}"
         )
+
+    def _may_creep(self, speed: float, effort: float) -> bool:
+        if self._effort_before is not None:
+            if abs(effort - self._effort_before) < self._axis.settings.limits.jam_effort:
+                return True
+            self._effort_before = None
+        self._is_slow = self._is_slow and speed < self._certain_speed()
+        return self._is_slow
 
     def _look_at_arming(self, position: float, speed: float) -> str | None:
         """Look at an axis that has been armed, at a true position and speed; return what is wrong, or None."""
@@ -178,13 +226,38 @@ class EncoderWatch:
         if self.active:
             self._error_allowed = abs(1.0 - self.factor) * self._bound
 
-    def _begin_motion(self, position: float, speed: float, *, shows: bool) -> None:
-        """Begin with a motion; `shows` says whether the fault shows in the samples themselves, whatever the plant."""
+    def _begin_motion(self, position: float, speed: float, *, shows: bool, steady: bool) -> None:
+        """Begin with a motion.
+
+        Parameters
+        ----------
+        position, speed
+            Where the axis truly is, in axis unit, and how fast it is to be, in axis unit/s.
+        shows
+            Whether it is fast enough for the fault to show in the samples themselves, whatever the plant.
+        steady
+            Whether nothing hides that: it cruises, or is coming to rest in any case.
+        """
         self._origin, self._speed = position, speed
         low, high = REFUSED_GAINS
-        self._is_certain = shows or self.factor <= 0.0 or not low < self.factor * self._gain < high
+        is_scale = self.factor > 0.0
+        self._is_certain = not is_scale or (shows and steady) or not low < self.factor * self._gain < high
+        self._is_slow = is_scale and not shows
+        self._effort_before = None if shows or self.factor else self._axis.law.effort
         self._set_bound()
         self._error_allowed += abs(1.0 - self.factor) * self._bound
+
+    def _certain_speed(self) -> float:
+        return certain_speed(self._axis.design, self._slowest, self._fastest)
+
+    def _cruises(self, speed: float) -> bool:
+        if len(self._speeds) < _CRUISE_TICKS:
+            return False
+        return max(*self._speeds, speed) - min(*self._speeds, speed) <= _CRUISE_SHARE * speed
+
+    def _speed_asked(self) -> float:
+        """Return the speed of the motion under way, in axis unit/s: an axis that speeds up goes on doing so."""
+        return abs(self._axis.law.cruise_velocity) if self._axis.state in COMMANDED else 0.0
 
     def _set_bound(self) -> None:
         certain = travel_bound(self._axis.design, self._speed, self.factor)

@@ -164,7 +164,9 @@ class ServiceMishaps:
     async def _encoder_fails(self) -> None:
         """Let the encoder count wrongly from here on, in whatever state the axis is driven."""
         world, axis = self._world, self._world.axis
-        world.change(load=0.0)
+        if world.drive.faults.load:  # one fault at a time: an estimate with a load that has just gone is wrong
+            world.change(load=0.0)
+            return
         if axis.state not in DRIVEN or self._watch.in_doubt or world.now_s < self._backlog_until_s:
             return
         world.wire.disturb = None
