@@ -355,6 +355,22 @@ def test_an_axis_that_speeds_up_is_held_to_the_bound_of_the_speed_that_was_asked
     assert soak.watch.look(1.01 * bound, 0.0, 0.0) is not None
 
 
+def test_what_a_hand_moves_is_no_travel(monkeypatch: pytest.MonkeyPatch) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    soak.watch.begin(-1.0, 0.0, 0.0)
+    bound = travel_bound(soak.axis.design, 0.0, -1.0)
+    soak.watch.moved_by_hand(0.0, 500.0)
+    assert soak.watch.look(500.0 + 0.99 * bound, 0.0, 0.0) is None
+    assert soak.watch.look(500.0 + 1.01 * bound, 0.0, 0.0) is not None
+
+
+def test_an_encoder_fails_on_a_drive_that_obeys(monkeypatch: pytest.MonkeyPatch) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    soak.drive.creeping_until = soak._tick + 10
+    soak._encoder_fails()
+    assert not soak.watch.active
+
+
 def test_a_load_is_gone_before_an_encoder_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     soak = armed(soak_of(linear(), monkeypatch))
     soak.drive.load = 3.0

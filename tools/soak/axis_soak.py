@@ -197,9 +197,8 @@ class AxisSoak:
         if drive.load:  # one fault at a time: an estimate with a load that has just gone is wrong by itself
             drive.load = 0.0
             return
-        busy = (
-            max(drive.silent_until, drive.fault_until, drive.sto_until, drive.spike_at, drive.stuck_until) >= self._tick
-        )
+        disobeys_until = max(drive.stuck_until, drive.creeping_until)
+        busy = max(drive.silent_until, drive.fault_until, drive.sto_until, drive.spike_at, disobeys_until) >= self._tick
         if self.axis.state not in DRIVEN or busy or self.watch.in_doubt:
             return
         factor = self.random.choice(list(ENCODER_FACTORS.values()))

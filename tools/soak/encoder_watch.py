@@ -226,6 +226,12 @@ class EncoderWatch:
         if self.active:
             self._error_allowed = abs(1.0 - self.factor) * self._bound
 
+    def moved_by_hand(self, before: float, after: float) -> None:
+        """Take notice that somebody has moved the axis from a true place to another (axis unit), which is no travel."""
+        if self.active:
+            self._origin += after - before
+            self._error_allowed += abs(1.0 - self.factor) * abs(after - before)
+
     def _begin_motion(self, position: float, speed: float, *, shows: bool, steady: bool) -> None:
         """Begin with a motion.
 

@@ -81,7 +81,9 @@ class OperatorModel:
         obstacle = axis.obstacle_to_arming()
         moves = outside or (obstacle is not None and obstacle[0] == "position_limit")
         if moves:
-            drive.place(0.9 * math.copysign(limits.position_maximum, drive.position))
+            before = drive.position
+            drive.place(0.9 * math.copysign(limits.position_maximum, before))
+            self._watch.moved_by_hand(before, drive.position)
         return moves
 
     def _say_where(self) -> None:
