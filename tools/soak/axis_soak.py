@@ -68,6 +68,7 @@ class AxisSoak:
         self._plant_ends = _PLANT_LIFE_TICKS
         self._reported_trip: object = None
         self._was_homing = False
+        self._boots_told = self.drive.boots
         self._mishaps = (
             *[self._fall_silent] * 6, *[self._load_the_axis] * 6, *[self._spike] * 4, *[self._stall] * 3,
             *[self._fault] * 2, *[self._emergency_stop] * 2, self._reboot_or_hang, self._trip, self._knock,
@@ -97,6 +98,9 @@ class AxisSoak:
         if feedback is not None:
             axis.take_feedback(feedback)
         if tick % self._heartbeat_ticks == 0 and tick >= drive.heartbeat_silent_until:
+            if drive.boots != self._boots_told:
+                self._boots_told = drive.boots
+                self.drive_watch.rebooted()
             axis.take_heartbeat(drive.boots)
         command = axis.step()
         drive.obey(command, tick)

@@ -56,6 +56,11 @@ class DriveWatch:
         self._coasting = self._coasts(settings.limits.overspeed)
         self.disobeyed = False
 
+    def rebooted(self) -> None:
+        """Take notice that the axis has been told that its drive has rebooted: its encoder counts its way anew."""
+        self._anchor = None
+        self._ticks_heard = 0
+
     def look(self, *, reported: bool) -> str | None:
         """Look at a tick in which the drive has reported, or not; return what is wrong, or None."""
         axis, drive = self._axis, self._drive
