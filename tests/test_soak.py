@@ -315,24 +315,25 @@ def test_a_drive_that_has_rebooted_counts_its_way_anew(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize(
-    ("gain", "before", "then", "told"),
+    ("gain", "pole", "before", "then", "told"),
     [
-        (1.2, 100.0, 100.0, True),  # in a cruise it shows, whatever the plant
-        (1.2, 80.0, 100.0, False),  # speeding up it does not, and what it looks like is accepted
-        (0.8, 80.0, 100.0, True),  # a plant of 0.4 times the gain is not
-        (1.2, 0.0, 100.0, False),
-        (0.8, 0.0, 100.0, True),
-        (0.8, 0.0, 1.0, False),  # as slow as that it may creep
+        (1.2, 1.0, 100.0, 100.0, True),  # in a cruise it shows, whatever the plant
+        (1.2, 1.0, 80.0, 100.0, False),  # speeding up it does not, and what it looks like is accepted
+        (0.8, 1.0, 80.0, 100.0, True),  # a plant of 0.4 times the gain is not
+        (1.2, 1.0, 0.0, 100.0, False),
+        (0.8, 1.0, 0.0, 100.0, True),
+        (0.8, 0.7, 0.0, 100.0, False),  # one that has 0.57 times the speed in a cruise may be
+        (0.8, 1.0, 0.0, 1.0, False),  # as slow as that it may creep
     ],
 )
 def test_another_scale_is_held_to_a_bound_where_it_shows(
-    gain: float, before: float, then: float, *, told: bool, monkeypatch: pytest.MonkeyPatch
+    gain: float, pole: float, before: float, then: float, *, told: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     soak = armed(soak_of(linear(), monkeypatch))
     far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.5)
     for _ in range(30):
         soak.watch.look(0.0, before, 0.0)
-    soak.watch.begin(0.5, 0.0, then if before else 0.0, gain)
+    soak.watch.begin(0.5, 0.0, then if before else 0.0, gain, pole)
     soak.watch.look(0.0, then, 0.0)
     assert (soak.watch.look(far, then, 0.0) is not None) is told
 

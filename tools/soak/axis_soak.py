@@ -209,7 +209,7 @@ class AxisSoak:
         self.encoder_faults += 1
         self._encoder_events = 0
         drive.encoder.fail(factor, drive.position)
-        self.watch.begin(factor, drive.position, drive.velocity, drive.gain)
+        self.watch.begin(factor, drive.position, drive.velocity, drive.gain, drive.pole)
 
     def _end_encoder_fault(self) -> None:
         """Disarm, mend the encoder, and say where the axis is; tried again with the next event until it is disarmed."""

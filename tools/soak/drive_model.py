@@ -90,8 +90,8 @@ class DriveModel:
         Until which tick it gives an effort though its power stage is said to be off, and which.
     boots
         What its heartbeat counts.
-    gain
-        The plant's gain, as a multiple of the model's.
+    gain, pole
+        The plant's gain and pole, as multiples of the model's.
     """
 
     def __init__(
@@ -118,10 +118,8 @@ class DriveModel:
         """Let gain and pole be others, off the model by up to :data:`MODEL_ERROR`."""
         plant, random = self._design.settings.plant, self._random
         self.gain = random.uniform(1.0 - MODEL_ERROR, 1.0 + MODEL_ERROR)
-        self._plant = Plant(
-            plant.gain * self.gain,
-            plant.pole * random.uniform(1.0 - MODEL_ERROR, 1.0 + MODEL_ERROR),
-        ).discretise(self._design.period_s)
+        self.pole = random.uniform(1.0 - MODEL_ERROR, 1.0 + MODEL_ERROR)
+        self._plant = Plant(plant.gain * self.gain, plant.pole * self.pole).discretise(self._design.period_s)
 
     def place(self, position: float) -> None:
         """Move the axis by hand to a true position in axis unit, where it rests."""

@@ -117,7 +117,7 @@ class EncoderWatch:
         self.factor = 1.0
         self.closest = 0.0
         self._origin = self._speed = self._bound = 0.0
-        self._gain = 1.0
+        self._gain = self._pole = 1.0
         self._error_allowed = 0.0
         self._is_certain = True
         self._was_driven = False
@@ -137,7 +137,7 @@ class EncoderWatch:
         """Whether the axis may take its place for another one, so that its position limits say nothing of the truth."""
         return self._error_allowed > 0.0
 
-    def begin(self, factor: float, position: float, speed: float, gain: float = 1.0) -> None:
+    def begin(self, factor: float, position: float, speed: float, gain: float = 1.0, pole: float = 1.0) -> None:
         """Begin to watch.
 
         Parameters
@@ -146,10 +146,10 @@ class EncoderWatch:
             How many units the encoder counts for one from now on.
         position, speed
             Where the axis truly is, and its velocity, in axis unit and axis unit/s.
-        gain
-            The plant's true gain, as a multiple of the model's.
+        gain, pole
+            The plant's true gain and pole, as multiples of the model's.
         """
-        self.factor, self._gain = factor, gain
+        self.factor, self._gain, self._pole = factor, gain, pole
         self._began = f"{self._axis.state} at {speed:.4g}"
         shows = abs(speed) >= self._certain_speed()
         steady = self._axis.state in BRAKING or self._cruises(abs(speed))
@@ -245,13 +245,18 @@ class EncoderWatch:
             Whether nothing hides that: it cruises, or is coming to rest in any case.
         """
         self._origin, self._speed = position, speed
-        low, high = REFUSED_GAINS
         is_scale = self.factor > 0.0
-        self._is_certain = not is_scale or (shows and steady) or not low < self.factor * self._gain < high
+        self._is_certain = not is_scale or (shows and steady) or self._is_refused()
         self._is_slow = is_scale and not shows
         self._effort_before = None if shows or self.factor else self._axis.law.effort
         self._set_bound()
         self._error_allowed += abs(1.0 - self.factor) * self._bound
+
+    def _is_refused(self) -> bool:
+        """Whether no plant that could be accepted has this gain while it speeds up, nor this one in a cruise."""
+        low, high = REFUSED_GAINS
+        gain = self.factor * self._gain
+        return not (low < gain < high or low < gain / self._pole < high)
 
     def _certain_speed(self) -> float:
         return certain_speed(self._axis.design, self._slowest, self._fastest)
