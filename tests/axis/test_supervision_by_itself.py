@@ -30,7 +30,7 @@ def motion(**changes: Any) -> Any:
     whole = SimpleNamespace(
         law=law,
         nominal=SimpleNamespace(observer=SimpleNamespace(position=0.0, velocity=0.0)),
-        model_test=SimpleNamespace(better_factor=None, surprise=1.0),
+        model_test=SimpleNamespace(better_factor=None, surprise=1.0, seems_to_stand=False),
         blind=False,
         implausible=0,
         implausible_distance=0.0,
@@ -260,6 +260,18 @@ def test_an_encoder_that_shows_one_position_while_the_effort_changes_by_2_5_v_is
     assert first_tick(supervision, TripCode.JAM) == 5
     supervision.start()
     assert first_tick(supervision, TripCode.JAM) == 5
+
+
+def test_half_the_jam_time_is_enough_where_only_a_standing_encoder_explains_the_samples() -> None:
+    there = motion(unchanged_effort=2.5, model_test__seems_to_stand=True)
+    supervision = Supervision(DESIGN, there)
+    assert first_tick(supervision, TripCode.JAM) == 3
+    supervision.start()
+    assert first_tick(supervision, TripCode.JAM, longest=2) == 0
+    there.unchanged_effort = 2.49  # friction may hold it, and its effort may just have been enough before
+    assert first_tick(supervision, TripCode.JAM) == 0
+    there.unchanged_effort = 2.5
+    assert first_tick(supervision, TripCode.JAM, State.STOPPING) == 0
 
 
 @pytest.mark.parametrize("velocity", [100.0, 0.0, -200.0])

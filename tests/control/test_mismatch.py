@@ -72,6 +72,14 @@ def test_a_load_decides_nothing(load: float, effort: float, when: int) -> None:
     assert set(bench.verdicts) == {None}
 
 
+@pytest.mark.parametrize(("load", "effort"), [(-14.0, 6.0), (-12.0, -10.0), (-10.0, 4.0), (-8.0, -2.0), (8.0, 2.0)])
+def test_a_load_whose_first_sample_looks_like_a_part_of_a_change_decides_nothing(load: float, effort: float) -> None:
+    bench = Bench(1.0).run([effort * min(1.0, n / 30.0) for n in range(61)])
+    bench.verdicts.clear()
+    bench.run([effort] * 60, load=load)
+    assert set(bench.verdicts) == {None}
+
+
 @settings(max_examples=30, deadline=None)
 @given(load=st.floats(-2.0, 2.0), effort=st.floats(-10.0, 10.0), gap=st.integers(1, 40))
 def test_an_estimate_that_a_load_has_just_put_off_decides_nothing(load: float, effort: float, gap: int) -> None:
@@ -112,6 +120,40 @@ def test_an_encoder_that_turns_round_is_told_at_a_quarter_of_that_speed_as_well(
     told = [one for one in bench.verdicts if one is not None]
     assert bench.verdicts[:3] == [None] * 3
     assert set(told) == {-1.0}
+
+
+@pytest.mark.parametrize("velocity", [20.0, -20.0, 100.0])
+@pytest.mark.parametrize(("counts", "samples"), [(-1.0, 6), (2.0, 6)])
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
+def test_a_change_within_a_period_is_told_by_its_seventh_sample(
+    velocity: float, counts: float, samples: int, share: float
+) -> None:
+    """The first sample shows a part of it, which a hypothesis of a whole one, or of a later one, cannot explain."""
+    bench = Bench(1.0).cruise(velocity)
+    effort = velocity * PLANT.pole / PLANT.gain
+    bench.change(counts)
+    bench.changed_at -= (1.0 - share) * velocity * PERIOD_S
+    bench.run([effort] * (samples + 1))
+    assert bench.verdicts[-1] == counts
+
+
+def test_an_encoder_that_stands_still_from_rest_on_explains_what_a_growing_effort_does_not_do() -> None:
+    bench = Bench(1.0).cruise(0.0)
+    bench.change(0.0)
+    bench.run([6.0, 12.0, 17.0])
+    assert not bench.test.seems_to_stand
+    bench.run([20.0, 20.0, 20.0])
+    assert bench.test.seems_to_stand
+
+
+@settings(max_examples=40, deadline=None)
+@given(gain=st.floats(0.7, 1.3), pole=st.floats(0.7, 1.3), effort=st.floats(-20.0, 20.0), share=st.floats(-1.0, 0.5))
+def test_no_healthy_axis_that_sets_out_seems_to_stand(gain: float, pole: float, effort: float, share: float) -> None:
+    """Up to half of the effort is held by a load; an axis whose whole effort is held does stand."""
+    bench = Bench(gain, pole).run([0.0] * 20)
+    for _ in range(60):
+        bench.run([effort], load=share * effort)
+        assert not bench.test.seems_to_stand
 
 
 @pytest.mark.parametrize("counts", [-1.0, 0.0, 0.5, 2.0])

@@ -47,6 +47,23 @@ def test_a_share_of_the_faults_is_met_elsewhere(name: str, number: int, phase: P
         assert cell.met, cell
 
 
+@pytest.mark.parametrize(
+    ("name", "number", "phase"),
+    [
+        ("example2", 20, Phase.IDLE),  # an effort that grows against an encoder that stands still from rest on
+        ("example2", 20, Phase.HOLDING),
+        ("free_running", 21, Phase.HOMING),  # slow, and in the middle of a period
+        ("free_running", 22, Phase.HOMING),
+    ],
+)
+def test_an_encoder_that_fails_from_rest_or_at_a_low_speed_is_told_in_time(
+    name: str, number: int, phase: Phase
+) -> None:
+    for cell in cells(Campaign(load(configuration(name)), seed=1), number, phase):
+        assert cell.met, cell
+        assert not cell.limit
+
+
 def test_each_shipped_configuration_has_its_matrix_in_the_docs() -> None:
     page = Path("docs/faults-of-other-configurations.md").read_text("utf-8")
     assert re.findall(r"<!-- faults (\w+): begin -->", page) == OTHERS

@@ -13,6 +13,9 @@ Violation = tuple[TripCode, str]
 
 _QUICK = frozenset({State.QUICK_STOPPING, State.TRIPPED_QUICK_STOP})
 
+_CERTAIN_JAM_SHARE = 0.5
+"""Share of the jam time that is enough where the model, driven by the changed effort, should have moved by now."""
+
 _BRAKING_PATIENCE = 2.0
 """How many times its designed duration a braking may take."""
 
@@ -126,6 +129,7 @@ class Supervision:
         if referenced and state is not State.HOMING:
             yield from self._position()
         yield from self._jam()
+        yield from self._frozen()
         yield from self._following()
         yield from self._saturation()
 
@@ -186,7 +190,7 @@ class Supervision:
             )
 
     def _jam(self) -> Iterator[Violation]:
-        """Watch for an axis that stands still, by its estimated speed or by an encoder that shows no other position."""
+        """Watch for an axis that stands still against an effort, by the way that its samples show."""
         limits, law, motion = self._settings.limits, self._motion.law, self._motion
         rest, unit, effort_unit = self._design.rest_velocity, self._settings.unit, self._settings.effort_unit
         stuck = (
@@ -205,13 +209,20 @@ class Supervision:
                     f"axis.limits.jam_effort is {limits.jam_effort:g}"
                 ),
             )
+
+    def _frozen(self) -> Iterator[Violation]:
+        """Watch for an encoder that shows one position while the effort changes; half the time where certain."""
+        limits, motion = self._settings.limits, self._motion
+        unit, effort_unit = self._settings.unit, self._settings.effort_unit
         frozen = motion.unchanged_effort >= limits.jam_effort
         self._ticks_frozen = self._ticks_frozen + 1 if frozen else 0
-        if self._ticks_frozen >= self._jam_ticks:
+        if self._ticks_frozen >= self._jam_ticks or (
+            self._ticks_frozen >= _CERTAIN_JAM_SHARE * self._jam_ticks and motion.model_test.seems_to_stand
+        ):
             yield (
                 TripCode.JAM,
                 (
-                    f"the encoder has shown the same position, {law.observer.position:.6g} {unit}, "
+                    f"the encoder has shown the same position, {motion.law.observer.position:.6g} {unit}, "
                     "while the effort changed "
                     f"by {motion.unchanged_effort:.4g} {effort_unit}; axis.limits.jam_effort is {limits.jam_effort:g}"
                 ),

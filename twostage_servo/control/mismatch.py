@@ -17,7 +17,7 @@ scale. At a constant speed the gain says nothing, since a disturbance explains a
 velocity changes by ``(f - 1) v`` from one sample to the next, which the mass of the axis forbids. Each of these begins
 anew, from the model's estimate, for as long as it explains no more than the accepted plants do, and so keeps the most
 likely tick of the change: a sequential test with restarts (E. S. Page, *Continuous inspection schemes*, Biometrika 41,
-1954).
+1954). A change comes within a period, so its first sample may show any part of it.
 
 Whichever it is, what the encoder has shown since says nothing of the speed. The model does, run freely from the change
 on; :meth:`ModelTest.reckon` gives its state.
@@ -84,6 +84,15 @@ much: what moves slowly comes to rest by friction or a load just as well, and on
 (axis.limits.jam_effort)."""
 
 
+OPENING_DEVIATIONS: Final = 3.0
+"""Standard deviations of the measured noise from which a first sample is taken to show a part of a change."""
+
+PART_TICKS: Final = 3
+"""Samples more that such a change has to explain: its first is explained by anything, as by a load that has stepped."""
+
+OPENING_SHARE: Final = 0.4
+"""Share of the surprise below which nothing is decided, from which it is: what is less may be the model's error."""
+
 PROCESS_SHARE: Final = 0.1
 """Share of the observer's process variances that the hypotheses assume. The law's observer forgets quickly, to follow
 every load; what is slower keeps the difference between two plants in sight for longer."""
@@ -108,7 +117,7 @@ class _Change:
     """The hypothesis that the encoder counts `factor` times as much since a tick of its own choosing."""
 
     __slots__ = (
-        "_jump_share", "_least_ticks", "_offset", "_step", "_truth", "accepted_sum", "factor",
+        "_in_part", "_jump_share", "_least_ticks", "_offset", "_step", "_truth", "accepted_sum", "factor",
         "observer", "own_sum", "ticks",
     )  # fmt: skip
 
@@ -136,6 +145,7 @@ class _Change:
         self._truth.continue_from(model)
         self.own_sum = self.accepted_sum = 0.0
         self.ticks = 0
+        self._in_part = False
 
     def shift(self, distance: float) -> None:
         self.observer.position += distance
@@ -145,11 +155,24 @@ class _Change:
         self._truth.predict(effort)
 
     def update(
-        self, sample: float, effort: float, model: DisturbanceObserver, least_square: float, lag_s: float
+        self,
+        sample: float,
+        effort: float,
+        model: DisturbanceObserver,
+        least_square: float,
+        lag_s: float,
+        opening_square: float,
     ) -> None:
-        """Take a sample; the smallest squared innovation of the accepted plants is in (axis unit)²."""
+        """Take a sample.
+
+        The smallest squared innovation of the accepted plants, and what it has to be for a first sample to show a part
+        of the change, are in (axis unit)².
+        """
         observer = self.observer
-        observer.update(sample + observer.velocity * lag_s, effort)
+        dated = sample + observer.velocity * lag_s
+        if self.factor and not self.ticks and least_square > opening_square:
+            self._open(dated)
+        observer.update(dated, effort)
         self._truth.predict(effort)
         own = self.own_sum = FORGETTING * self.own_sum + observer.innovation * observer.innovation
         accepted = self.accepted_sum = FORGETTING * self.accepted_sum + least_square
@@ -157,11 +180,32 @@ class _Change:
         if accepted <= own:
             self.begin(model)
 
+    def _open(self, sample: float) -> None:
+        """Suppose that the change has come within the period: the first sample shows a part of it."""
+        distance = sample - self.observer.position
+        if min(0.0, self._offset) < distance < max(0.0, self._offset):
+            self.observer.position = sample
+            self._in_part = True
+
     def evidence(self) -> float:
         """Return by how much it explains more than the accepted plants, in (axis unit)²."""
         return self.accepted_sum - self.own_sum
 
     def is_certain(self, least: float, window_sum: float, noise_square: float) -> bool:
+        """Whether nothing else explains the samples, and the change has been one from one sample to the next.
+
+        Parameters
+        ----------
+        least, window_sum, noise_square
+            As for :meth:`explains`.
+        """
+        return (
+            self.ticks - PART_TICKS * self._in_part >= self._least_ticks
+            and abs(self._offset) > self._jump_share * least
+            and self.explains(least, window_sum, noise_square)
+        )
+
+    def explains(self, least: float, window_sum: float, noise_square: float) -> bool:
         """Whether nothing else explains the samples.
 
         Parameters
@@ -174,9 +218,7 @@ class _Change:
             What a sample's noise adds to that, as it was before.
         """
         return (
-            self.ticks >= self._least_ticks
-            and abs(self._offset) > self._jump_share * least
-            and self.evidence() > least * least
+            self.evidence() > least * least
             and self.accepted_sum > CHANGE_EVIDENCE * (self.own_sum - self._noise_sum(noise_square))
             and self.accepted_sum > CHANGE_RATIO * self.own_sum
             and self.accepted_sum > CHANGE_SHARE * window_sum
@@ -310,8 +352,9 @@ class ModelTest:
         self.is_sure = least_square <= self._least * self._least
         if self.is_sure:
             self._noise_square += NOISE_MEMORY * (0.5 * difference * difference - self._noise_square)
+        opening = max(OPENING_DEVIATIONS**2 * self._noise_square, (OPENING_SHARE * self._least) ** 2)
         for change in self._changes:
-            change.update(sample, effort, model, least_square, lag_s)
+            change.update(sample, effort, model, least_square, lag_s, opening)
 
     @property
     def better_factor(self) -> float | None:
@@ -328,6 +371,16 @@ class ModelTest:
         if STILL_EVIDENCE * self._sums[best] >= self._still_sum:  # an encoder that stands still explains as much
             return None
         return GAIN_FACTORS[best] if self._sum > EVIDENCE[best] * self._sums[best] else None
+
+    @property
+    def seems_to_stand(self) -> bool:
+        """Whether an encoder that stands still explains the samples by far, however it has come to stand.
+
+        What moved slowly may have come to rest by friction or a load as well: only an effort that has changed by much
+        since makes it a jam, or a fault of the encoder.
+        """
+        likeliest = max(self._changes, key=_Change.evidence)
+        return likeliest.factor == 0.0 and likeliest.explains(self._least, self._sum, self._noise_square)
 
     def reckon(self, factor: float) -> Reckoning:
         """Return what the model says of the axis, where its encoder is in doubt.
