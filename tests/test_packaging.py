@@ -55,11 +55,12 @@ MAY_IMPORT = {
     "__main__": {"cli"},
     "exact": set[str](),
     "printable": set[str](),
+    "worker_process": set[str](),
     "worker_thread": set[str](),
 }
 """Room or top-level module: what it may import besides itself, the package's version and what anyone may import."""
 
-ANYONE_MAY_IMPORT = {"exact", "printable", "settings", "ticks", "worker_thread"}
+ANYONE_MAY_IMPORT = {"exact", "printable", "settings", "ticks", "worker_process", "worker_thread"}
 HEAVY = {"numpy", "scipy", "control", "can", "cantools", "pydantic", "structlog", "asyncio", "matplotlib"}
 
 

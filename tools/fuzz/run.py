@@ -27,6 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for matrices of order 3, m
 from fuzz import frames, lines, tomls  # noqa: E402 - found by the path above
 from fuzz.bench import quiet_log  # noqa: E402
 from fuzz.outcome import Outcome  # noqa: E402
+from twostage_servo.worker_process import end_with_parent  # noqa: E402
 
 _MODES = {"frames": frames, "lines": lines, "tomls": tomls}
 _COUNTS = {"frames": 10_000_000, "lines": 1_000_000, "tomls": 10_000}
@@ -58,8 +59,13 @@ def _outcomes(mode: str, seed: int, episodes: Iterable[int], jobs: int) -> Itera
         quiet_log()
         yield from map(work, episodes)
         return
-    with ProcessPoolExecutor(jobs, initializer=quiet_log) as pool:
+    with ProcessPoolExecutor(jobs, initializer=_begin) as pool:
         yield from pool.map(work, episodes, chunksize=4)
+
+
+def _begin() -> None:
+    end_with_parent()
+    quiet_log()
 
 
 class _Progress:

@@ -27,6 +27,7 @@ from invariants import BrokenInvariantError, resident_mb
 from service_soak import ServiceSoak
 
 from twostage_servo.service.log import open_log
+from twostage_servo.worker_process import end_with_parent
 
 EPISODE_TICKS = {"axis": 360_000, "service": 45_000}
 """Length of an episode: an hour, and seven and a half minutes, on a tick of 10 ms."""
@@ -136,7 +137,8 @@ def keep(path: Path | None, result: Result) -> None:
 
 def episodes(kind: str, seeds: Iterable[int], jobs: int, without: frozenset[str]) -> Iterator[Result]:
     """Run episodes on some cores and give what each came to as it ends; on the way out, give up those not yet begun."""
-    pool = concurrent.futures.ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+    context = multiprocessing.get_context("spawn")
+    pool = concurrent.futures.ProcessPoolExecutor(jobs, context, initializer=end_with_parent)
     try:
         futures = [pool.submit(episode, kind, seed, EPISODE_TICKS[kind], without) for seed in seeds]
         for future in concurrent.futures.as_completed(futures):

@@ -12,6 +12,7 @@ from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE, Phase
 from twostage_servo.machine import load_machine
 from twostage_servo.service.log import open_log
+from twostage_servo.worker_process import end_with_parent
 
 CONFIGURATION_FAULTS = (47, 48)
 
@@ -195,6 +196,7 @@ def _run_hosted(
 
 def _begin(path: Path | None, overrides: Sequence[str], seed: int) -> None:
     """Prepare a worker: its axes are designed once, and its service's log goes nowhere."""
+    end_with_parent()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     machine = load_machine(path, overrides)
     for loaded in machine.axes:
