@@ -280,7 +280,8 @@ def test_a_bump_at_a_new_set_point_is_seen(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_a_jam_that_is_noticed_by_its_consequences_only_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Supervision, "_jam", lambda _: iter(()))
+    for watch in ("_jam", "_frozen"):
+        monkeypatch.setattr(Supervision, watch, lambda _: iter(()))
     cell = run(30, Phase.IDLE)
     assert cell.observed == cell.expected
     assert "the jam was noticed after" in cell.wrong
