@@ -191,10 +191,20 @@ class AnyOrder(RuleBasedStateMachine):
             after = self.rig.state()
             assert SEVERITY.get(after, 0) >= SEVERITY.get(before, 0)  # a trip never passes by itself
             assert trip is None or self.rig.axis.trip is trip
-            assert after in ENABLED or before not in {State.DISARMED, State.TRIPPED} or after is before
+            assert (
+                after in ENABLED
+                or before not in {State.DISARMED, State.TRIPPED}
+                or after is before
+                or (before is State.DISARMED and after is State.TRIPPED and self.is_commanded_by_another)
+            )  # whose command has come while the drive was still enabled
             assert before in ENABLED or after not in ENABLED  # nothing is enabled but by `arm`
             self.braking_ticks = self.braking_ticks + 1 if after in BRAKING and after is before else 0
             assert self.braking_ticks < LONGEST_BRAKING_TICKS
+
+    @property
+    def is_commanded_by_another(self) -> bool:
+        trip = self.rig.axis.trip
+        return trip is not None and trip.code is TripCode.FOREIGN_COMMAND
 
     @precondition(lambda self: self.rig.commands)
     @rule(missed=st.integers(1, 12))
