@@ -12,16 +12,13 @@ its count. A silence is long when an armed axis trips by it in any case.
 
 from collections.abc import Callable
 
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import AxisDesign
 
 _SAMPLES_BEYOND = 2
 """Samples in a row that are a count which has moved: one is a spike."""
 
 _JITTER_TICKS = 1
 """Ticks by which the time between two samples may be longer than it seems."""
-
-_SPEED_TICKS = 3
-"""Ticks of its speed that an axis goes beside what it coasts, before a disable command acts on it."""
 
 
 class CountWatch:
@@ -43,17 +40,16 @@ class CountWatch:
     """
 
     __slots__ = (
-        "_beyond", "_coast_s", "_design", "_distance", "_driven_s", "_long_silence", "_longest_silence", "_place",
+        "_beyond", "_design", "_distance", "_driven_s", "_long_silence", "_longest_silence", "_place",
         "_range_s", "_silent_ticks", "_speed", "_ticks", "_tolerance", "awaits_proof",
     )  # fmt: skip
 
     def __init__(self, design: AxisDesign, resolution: float, distance: Callable[[float, float], float]) -> None:
-        settings, period_s = design.settings, design.period_s
+        settings = design.settings
         self._design = design
         self._distance = distance
-        self._tolerance = settings.limits.innovation + 2.0 * resolution
+        self._tolerance = design.sample_tolerance(resolution)
         self._long_silence = design.ticks(settings.limits.stale_feedback_ms) + settings.limits.missed_ticks
-        self._coast_s = 1.0 / (settings.plant.pole * (1.0 - MODEL_ERROR)) + _SPEED_TICKS * period_s
         self._driven_s = 1e-3 * settings.arming_timeout_ms
         self._place: float | None = None  # the last sample that was believed
         self._ticks = 0  # since the one that was believed
@@ -61,7 +57,7 @@ class CountWatch:
         self._longest_silence = 0  # in ticks, since the one that was believed
         self._beyond = 0  # samples in a row, up to now, that are too far away
         self._speed = 0.0  # largest speed that the axis may have had at the sample that was believed
-        self._range_s = self._coast_s  # for how long it may go on at that speed without being seen
+        self._range_s = design.coasting_s  # for how long it may go on at that speed without being seen
         self.awaits_proof = False
 
     def look(
@@ -161,7 +157,7 @@ class CountWatch:
         if self._place is not None:
             shown = abs(self._distance(self._place, position)) / (self._ticks * self._design.period_s)
         self._speed = min(max(speed, shown), self._design.settings.limits.overspeed)
-        self._range_s = self._coast_s + (self._driven_s if driven else 0.0)
+        self._range_s = self._design.coasting_s + (self._driven_s if driven else 0.0)
         self._place = position
         self._ticks = self._longest_silence = 0
 

@@ -21,6 +21,9 @@ REST_SHARE = 0.01
 """Share of the velocity limit at or below which the axis counts as at rest: 2.5 mm/s of the demo's 250."""
 
 
+DISABLING_TICKS = 3
+"""Ticks until a command to disable acts, and until the samples show it: one to leave, one to act, one to be seen."""
+
 MODEL_ERROR = 0.3
 """Share by which the true plant may differ from its model: what an axis has to be good for."""
 
@@ -95,6 +98,29 @@ class AxisDesign:
         """
         plant, limits = self.settings.plant, self.settings.limits
         return min(deceleration, abs(plant.gain) * limits.effort, abs(plant.gain) * limits.effort_rate / plant.pole)
+
+    @property
+    def least_pole(self) -> float:
+        """Pole of the plant that coasts for the longest, of those that are no more off the model than they may, 1/s."""
+        return self.settings.plant.pole * (1.0 - MODEL_ERROR)
+
+    @property
+    def coasting_s(self) -> float:
+        """How far an axis goes at most when it is told to disable, for each axis unit/s of its speed, in s.
+
+        It has its speed for some ticks, until the drive has taken the command, and then coasts by ``v / pole``.
+        """
+        return 1.0 / self.least_pole + DISABLING_TICKS * self.period_s
+
+    def sample_tolerance(self, resolution: float) -> float:
+        """Return how far a sample may be off that is believed, in axis unit.
+
+        Parameters
+        ----------
+        resolution
+            Step in which the encoder's position is reported, in axis unit; 0 if it has none.
+        """
+        return self.settings.limits.innovation + 2.0 * resolution
 
     def stopping_distance(self, velocity: float, deceleration: float) -> float:
         """Return how far the axis travels in a stop, in axis unit, not negative.

@@ -6,9 +6,9 @@ can be relied on. An axis that moves although its drive is off may be pushed by 
 
 import math
 
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import DISABLING_TICKS, AxisDesign
 
-_SPEED_SAMPLES = 3
+_SPEED_SAMPLES = DISABLING_TICKS
 """Samples from which the speed at the beginning is taken: the drive takes the command between the first of them."""
 
 _SAMPLES_BEYOND = 2
@@ -42,16 +42,16 @@ class MotionWhileDisabled:
     """
 
     __slots__ = (
-        "_anchor", "_beyond", "_last", "_overspeed", "_period_s", "_pole", "_samples", "_settled", "_speed",
-        "_ticks", "_ticks_since_last", "_tolerance", "moved",
+        "_anchor", "_beyond", "_coasting_s", "_last", "_overspeed", "_period_s", "_pole", "_samples", "_settled",
+        "_speed", "_ticks", "_ticks_since_last", "_tolerance", "moved",
     )  # fmt: skip
 
     def __init__(self, design: AxisDesign, resolution: float) -> None:
-        limits = design.settings.limits
         self._period_s = design.period_s
-        self._pole = design.settings.plant.pole * (1.0 - MODEL_ERROR)
-        self._overspeed = limits.overspeed
-        self._tolerance = limits.innovation + 2.0 * resolution
+        self._pole = design.least_pole
+        self._coasting_s = design.coasting_s
+        self._overspeed = design.settings.limits.overspeed
+        self._tolerance = design.sample_tolerance(resolution)
         self.moved: float | None = None
         self.begin(0.0)
 
@@ -109,7 +109,7 @@ class MotionWhileDisabled:
         """Return how far the axis may be from its anchor, in axis unit."""
         if self._settled:
             return self._tolerance
-        return self._start_speed * (1.0 / self._pole + _SPEED_SAMPLES * self._period_s) + self._tolerance
+        return self._start_speed * self._coasting_s + self._tolerance
 
     def _is_at_rest(self) -> bool:
         """Whether an axis that coasts is at rest by now: what it has yet to go cannot be told from a bad sample."""

@@ -14,7 +14,7 @@ Violation = tuple[TripCode, str]
 _QUICK = frozenset({State.QUICK_STOPPING, State.TRIPPED_QUICK_STOP})
 
 _CERTAIN_JAM_SHARE = 0.5
-"""Share of the jam time that is enough where the model, driven by the changed effort, should have moved by now."""
+"""Share of the jam time that is enough where nothing explains the samples but an encoder that stands still."""
 
 _BRAKING_PATIENCE = 2.0
 """How many times its designed duration a braking may take."""
