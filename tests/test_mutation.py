@@ -14,8 +14,8 @@ from mutation.mutant import Mutant
 from mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell
 from mutation.results import KeptResults, digest, in_order, share_of, with_status
 from mutation.rooms import ROOMS, Room, files_of, paths_of_tests
-from mutation.run import make_plan, share
-from mutation.summary import summarise
+from mutation.run import arguments, make_plan, share
+from mutation.summary import as_far_as_tried, summarise
 from mutation.trees import TREE, environment
 
 KEYS = [f"service.loop:f{number}: - a + b" for number in range(1000)]
@@ -150,6 +150,34 @@ def test_what_was_not_tried_any_more_counts_neither_way() -> None:
     assert summary["score"] == pytest.approx(2 / 3)
     assert summary["survivors"] == [{"key": every[1].key, "reason": "equivalent"}]
     assert summary["reasons_without_mutant"] == []
+
+
+def test_of_those_with_a_reason_only_as_many_count_as_stand_among_those_that_were_tried() -> None:
+    """All of them counted as not found, however few of the others there was time for."""
+    order = in_order([mutant(f"f{number}").key for number in range(20)], 3)
+    tried, explained = order[:9], {order[4]: "equivalent", order[15]: "equivalent"}
+    by_key = {mutant(f"f{number}").key: mutant(f"f{number}") for number in range(20)}
+
+    def status(key: str) -> str:
+        return "survived" if key in explained else "killed" if key in tried else "open"
+
+    every = [with_status(by_key[key], status(key)) for key in sorted(by_key)]
+    summary = summarise(as_far_as_tried(every, explained, 3), explained, list(explained), 1.0)
+    assert (summary["mutants"], summary["found"], summary["open"]) == (9, 8, 11)
+    assert summary["reasons_without_mutant"] == []  # one that was not looked at may still be needed
+    whole = [with_status(one, "survived" if one.key in explained else "killed") for one in every]
+    assert as_far_as_tried(whole, explained, 3) == whole
+    nothing_tried = [with_status(one, "survived" if one.key in explained else "open") for one in every]
+    assert summarise(as_far_as_tried(nothing_tried, explained, 3), explained, [], 1.0)["mutants"] == 0
+
+
+def test_what_survived_and_has_a_reason_by_now_is_not_counted_again(tmp_path: Path) -> None:
+    again = tmp_path / "again.json"
+    again.write_text(json.dumps({"survivors": [{"key": "explained"}, {"key": "left"}]}))
+    options = arguments().parse_args(["axis", "--again", str(again)])
+    assert make_plan(options, {"explained": "equivalent"}, {})["only"] == ["left"]
+    options.all = True
+    assert make_plan(options, {"explained": "equivalent"}, {})["only"] == ["explained", "left"]
 
 
 def test_a_plan_takes_what_was_kept_and_what_has_a_reason_for_known(tmp_path: Path) -> None:

@@ -52,7 +52,7 @@ from mutation.processes import verdicts  # noqa: E402 - likewise
 from mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell  # noqa: E402 - likewise
 from mutation.results import KeptResults  # noqa: E402 - likewise
 from mutation.rooms import ROOMS, files_of, paths_of_tests  # noqa: E402 - likewise
-from mutation.summary import as_text, reasons, summarise  # noqa: E402 - likewise
+from mutation.summary import as_far_as_tried, as_text, reasons, summarise  # noqa: E402 - likewise
 from mutation.trees import PYTEST, TREE, copied, environment  # noqa: E402 - likewise
 
 LEAST_SCORE = {"control": 0.9, "axis": 0.9, "service": 0.85, "client": 0.85}
@@ -147,7 +147,7 @@ def make_plan(options: argparse.Namespace, explained: dict[str, str], kept: dict
     only = None
     if options.again:
         survivors = json.loads(options.again.read_text(encoding="utf-8"))["survivors"]
-        only = [survivor["key"] for survivor in survivors]
+        only = [survivor["key"] for survivor in survivors if options.all or survivor["key"] not in explained]
     most_s = None if options.minutes is None else 60.0 * options.minutes
     chosen = {"only": only, "sample": options.sample, "share": options.share, "seed": options.seed}
     return {"known": known, "most_tests_s": options.seconds, "most_s": most_s, **chosen}
@@ -176,6 +176,8 @@ def main() -> int:
         plan["kept"] = vars(kept)
         found = forked(folder, tests, paths, plan, options.jobs)
         mutants = verdicts(folder, tests, found, options.jobs, kept, until_s)
+    if not options.all:
+        mutants = as_far_as_tried(mutants, explained, options.seed)
     looked_at = {mutant.key for mutant in mutants}
     is_part = options.sample is not None or options.share is not None or plan["only"] is not None
     tried = [key for key in explained if not is_part or key in looked_at]

@@ -1,16 +1,35 @@
 """What a run came to, and the reasons of what the tests do not notice."""
 
 import tomllib
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
 from mutation.mutant import Mutant
+from mutation.results import in_order, with_status
 
 
 def reasons() -> dict[str, str]:
     """Return the reason of each mutant in `survivors.toml`, by key."""
     groups = tomllib.loads((Path(__file__).with_name("survivors.toml")).read_text(encoding="utf-8")).get("group", [])
     return {key: group["reason"] for group in groups for key in group["mutants"]}
+
+
+def as_far_as_tried(every: list[Mutant], explained: Collection[str], seed: int) -> list[Mutant]:
+    """Return mutants; one with a reason is open if it comes after the last that was tried, where others are open.
+
+    Those with a reason are not tried. Without this all of them would count, as not found, in a run that ended early and
+    tried only a part of the others: its score would be too small.
+    """
+    if all(mutant.status != "open" for mutant in every):
+        return every
+    places = {key: place for place, key in enumerate(in_order([mutant.key for mutant in every], seed))}
+    tried = [mutant for mutant in every if mutant.status != "open" and mutant.key not in explained]
+    last = max((places[mutant.key] for mutant in tried), default=-1)
+    return [
+        with_status(mutant, "open") if mutant.key in explained and places[mutant.key] > last else mutant
+        for mutant in every
+    ]
 
 
 def summarise(every: list[Mutant], explained: dict[str, str], tried: list[str], seconds: float) -> dict[str, Any]:
@@ -24,7 +43,7 @@ def summarise(every: list[Mutant], explained: dict[str, str], tried: list[str], 
     survivors = [mutant for mutant in mutants if mutant.status == "survived"]
     found = len(mutants) - len(survivors)
     places = {mutant.place for mutant in mutants}
-    left = {mutant.key for mutant in survivors}
+    left = {mutant.key for mutant in every if mutant.status in {"survived", "open"}}
     return {
         "modules": modules,
         "mutants": len(mutants),
