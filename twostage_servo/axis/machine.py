@@ -332,7 +332,7 @@ class Machine:
     def _watch_count(self) -> None:
         """Lose the reference if the encoder may not count on from where it was, and trip if the axis moves by it."""
         driven, law = self.state in DRIVEN, self.law
-        speed = abs(law.observer.velocity) if driven or self.motion.knows_speed else 0.0
+        speed = abs(law.observer.velocity)
         if self.state in COMMANDED:
             speed = max(speed, abs(law.cruise_velocity))
         reason = self.count.look(

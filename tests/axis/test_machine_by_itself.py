@@ -1,0 +1,158 @@
+"""What the machine inside an axis hands on to its watches, and what it says of a drive that lasts in a wrong state."""
+
+import math
+
+import pytest
+
+from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.drive_states import interpret
+from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
+
+READY = interpret("Ready to switch on")
+ENABLED = interpret("Operation enabled")
+
+
+def axis_of(*, tells_enabled: bool = True, resolution: float = 0.001, **limits: float) -> Axis:
+    design = design_axis(axis_settings(**limits), PERIOD_S)
+    return Axis(design, 16, resolution=resolution, tells_enabled=tells_enabled)
+
+
+class Silent(AxisRig):
+    """A rig whose drive does not tell whether it is enabled but by the state of its heartbeat."""
+
+    state_told = READY
+    every = 10
+
+    def tick(self, missed: int = 0):  # type: ignore[no-untyped-def]
+        self.tick_index += 1 + missed
+        self.axis.begin_tick(self.tick_index, missed)
+        self.counter = (self.counter + 1) % 16
+        self.axis.take_feedback(Feedback(self.sample, self.counter))
+        if self.tick_index % self.every == 0:
+            self.axis.take_heartbeat(None, self.state_told)
+        command = self.axis.step()
+        self.commands.append(command)
+        return command
+
+
+# A drive that tells its state by its heartbeat alone -----------------------------------------------------------------
+
+
+def test_a_drive_that_says_it_is_off_while_it_is_told_to_be_enabled_trips() -> None:
+    rig = Silent(axis_of(tells_enabled=False)).armed(for_s=0.3)
+    rig.seconds(1.0)
+    assert list(rig.axis.trips) == [TripCode.DRIVE_STATE_MISMATCH]
+    assert (
+        "heartbeat has said 'Ready to switch on', and its feedback enabled"
+        in rig.axis.trips[TripCode.DRIVE_STATE_MISMATCH].cause
+    )
+
+
+def test_one_that_says_that_it_is_enabled_while_it_is_told_to_be_disabled_has_a_heartbeats_time_more() -> None:
+    """500 ms to obey and 300 ms until a heartbeat comes for certain, and two ticks for the way to and fro."""
+    rig = Silent(axis_of(tells_enabled=False))
+    rig.every = 30
+    rig.state_told = ENABLED
+    ticks = 0
+    while rig.state() is State.DISARMED and ticks < 400:
+        rig.tick()
+        ticks += 1
+    assert list(rig.axis.trips) == [TripCode.DRIVE_NOT_DISABLED]
+    assert ticks == 90  # the first heartbeat after 82
+    assert "for 890 ms of the 890 ms" in rig.axis.trips[TripCode.DRIVE_NOT_DISABLED].cause
+
+
+# Somebody else's commands --------------------------------------------------------------------------------------------
+
+
+def test_a_command_of_somebody_else_lasts_with_its_frame_and_tick_without_a_trip() -> None:
+    rig = AxisRig().seconds(0.1)
+    assert rig.axis.lasting == ()
+    rig.axis.take_foreign_command("0x201 enables", enables=True)
+    rig.tick()
+    (told,) = rig.axis.lasting
+    assert (told.code, told.tick) == (TripCode.FOREIGN_COMMAND, rig.tick_index)
+    assert told.cause == "another node on the bus commands this drive: 0x201 enables (frame 1, 10 ms ago)"
+    assert (rig.axis.trip, rig.axis.hazards) == (None, ())
+    rig.seconds(0.6)
+    assert rig.axis.lasting == ()
+
+
+def test_one_that_trips_is_told_once() -> None:
+    rig = AxisRig().seconds(0.1)
+    rig.axis.take_foreign_command("0x201", enables=True)
+    rig.enabled = True
+    rig.tick()
+    assert [one.code for one in rig.axis.lasting] == [TripCode.FOREIGN_COMMAND]
+    assert rig.axis.hazards == rig.axis.lasting
+
+
+# What a disabled axis may have moved ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("resolution", "told"), [(0.001, True), (1.0, False)])
+def test_a_step_of_a_coarse_encoder_is_no_motion(resolution: float, *, told: bool) -> None:
+    rig = AxisRig(axis_of(resolution=resolution)).seconds(1.0)
+    rig.position = 0.8
+    rig.seconds(0.2)
+    assert (rig.axis.disabled.moved is not None) is told
+
+
+# How far an axis may go unseen ---------------------------------------------------------------------------------------
+
+
+def test_an_axis_on_a_coarse_encoder_coasts_by_its_speed_and_not_by_the_last_two_samples() -> None:
+    """They show the same step of 1 mm; at 40 mm/s it may go 4 mm more, which is more than a sample may be off."""
+    rig = AxisRig(axis_of(resolution=1.0, innovation=1.2))
+    rig.sees = lambda position: float(math.floor(position))
+    rig.seconds(0.1)
+    rig.axis.take_heartbeat(7)
+    rig.axis.set_position(0.0)
+
+    def carried(distance: float) -> None:
+        rig.velocity = 0.0
+        rig.position += distance
+        rig.sample = rig.sees(rig.position)
+        rig.tick()
+
+    for _ in range(62):
+        carried(0.4)
+    assert rig.sees(rig.position) == rig.sees(rig.position - 0.4) == 24.0
+    rig.silent = True
+    for _ in range(20):
+        carried(4.2 / 20.0)
+    rig.silent = False
+    rig.seconds(0.1)
+    rig.axis.take_heartbeat(7)
+    assert rig.axis.reference.lost_because == ""
+    rig.silent = True
+    for _ in range(20):
+        carried(4.2 / 20.0)
+    rig.silent = False
+    rig.seconds(0.1)
+    assert "moved by +5 mm" in rig.axis.reference.lost_because  # as much, from rest
+
+
+def test_an_axis_that_speeds_up_as_its_bus_is_lost_may_come_to_the_speed_that_it_was_asked_for() -> None:
+    """Its drive has the effort of the cruise as its last one, goes on with it for 450 of 500 ms, and coasts then."""
+    rig = AxisRig(axis_of()).seconds(0.1)
+    rig.axis.take_heartbeat(7)
+    rig.axis.set_position(0.0)
+    rig.armed().axis.move_to(700.0, 100.0)
+    rig.seconds(0.05)
+    assert rig.velocity < 40.0
+    effort, rig.silent = rig.plant.cruise_effort(100.0), True
+    for tick in range(60):
+        rig.enabled = False
+        rig.tick()
+        if tick < 45:
+            rig.move(effort)
+    assert rig.position > 30.0
+    rig.silent, rig.enabled, rig.sample = False, False, rig.position
+    rig.seconds(0.1)
+    rig.axis.take_heartbeat(7)
+    assert rig.axis.reference.lost_because == ""
