@@ -1,5 +1,7 @@
 """What an axis brakes on, where its plant is off its model or its last samples are in doubt."""
 
+import itertools
+import math
 from pathlib import Path
 
 import pytest
@@ -105,3 +107,54 @@ def test_samples_in_doubt_are_left_out_of_it() -> None:
     braking.apply(observer, in_doubt=True)
     assert observer.velocity == pytest.approx(wanted.velocity)
     assert observer.disturbance == pytest.approx(wanted.disturbance)
+
+
+@pytest.mark.parametrize(("innovation", "speed"), [(-50.0, 0.0), (50.0, 40.0)])
+def test_what_stands_changes_the_speed_by_no_more_than_the_speed_itself(innovation: float, speed: float) -> None:
+    """More than that is what late samples have left; the disturbance keeps the speed as it is then."""
+    observer = EXAMPLE_2.build_law().observer
+    braking = BrakingEstimate(EXAMPLE_2)
+    observer.innovation = innovation
+    for velocity in (20.0, -20.0):
+        observer.velocity = 0.0
+        braking.start(observer, 0.0)
+        observer.disturbance = 0.5
+        for _ in range(60):
+            observer.velocity = velocity
+            observer.innovation = math.copysign(innovation, innovation * velocity)
+            braking.note(observer, 0.0, corrected=True, sure=True)
+        braking.apply(observer, in_doubt=False)
+        assert observer.velocity == pytest.approx(math.copysign(speed, velocity), abs=1e-9)
+        assert math.copysign(observer.disturbance - 0.5, innovation * velocity) == observer.disturbance - 0.5
+        again = observer.velocity, observer.disturbance
+        braking.apply(observer, in_doubt=False)  # it was taken into the estimate once
+        assert (observer.velocity, observer.disturbance) == again
+
+
+def test_from_its_start_on_a_model_without_sure_samples_runs_on_by_the_effort() -> None:
+    braking, wanted = BrakingEstimate(EXAMPLE_2), EXAMPLE_2.build_law().observer
+    wanted.velocity, wanted.disturbance = 30.0, 0.7
+    braking.start(wanted, 4.0)
+    observer = EXAMPLE_2.build_law().observer
+    for before, effort in itertools.pairwise((4.0, -2.0, 1.0, 0.0)):
+        wanted.predict(before)
+        braking.note(observer, effort, corrected=False, sure=False)
+    braking.apply(observer, in_doubt=True)
+    assert (observer.velocity, observer.disturbance) == pytest.approx((wanted.velocity, wanted.disturbance))
+
+
+@pytest.mark.parametrize(("notes", "share"), [(1, 0.2), (2, 0.36), (3, 0.488)])
+def test_an_innovation_stands_when_it_lasts(notes: int, share: float) -> None:
+    """A fifth of what is new in each tick; a tick without a sample changes nothing."""
+    observer = EXAMPLE_2.build_law().observer
+    braking = BrakingEstimate(EXAMPLE_2)
+    observer.velocity, observer.innovation = 100.0, 0.1
+    for _ in range(notes):
+        braking.note(observer, 0.0, corrected=True, sure=True)
+        braking.note(observer, 0.0, corrected=False, sure=True)
+    braking.apply(observer, in_doubt=False)
+    gain1, gain2, _ = EXAMPLE_2.kalman.predictor
+    gone = share * 0.1 * gain1 / EXAMPLE_2.plant.a12
+    assert observer.velocity == pytest.approx(100.0 + gone)
+    lasting = gain2 * share * 0.1 + (1.0 - EXAMPLE_2.plant.a22) * gone
+    assert observer.disturbance == pytest.approx(lasting / EXAMPLE_2.plant.b2)

@@ -158,6 +158,26 @@ def test_another_watch_on_the_same_drive_goes_on_where_the_former_was() -> None:
     assert other.moved == pytest.approx(0.02 * (53 - 3))  # so slow an axis has no way to coast
 
 
+def test_a_drive_that_says_nothing_more_is_waited_for_as_long_as_feedback_may_be_old() -> None:
+    watch = DisabledDriveWatch(DESIGN)
+    watch.look(0, True, None, 0.0)
+    waits = []
+    for _ in range(SILENCE):
+        watch.look(0, None, None, 0.0)
+        waits.append(watch.waits)
+    assert waits == [True] * (SILENCE - 1) + [False]
+
+
+@pytest.mark.parametrize(("report", "waits"), [(None, True), (False, False), (True, True)])
+def test_what_a_drive_said_last_while_enabled_counts_until_it_says_something_else(
+    report: bool | None, *, waits: bool
+) -> None:
+    watch = DisabledDriveWatch(DESIGN)
+    watch.release(True)
+    watch.look(0, report, None, 0.0)
+    assert (watch.waits, watch.seen_enabled) == (waits, waits)
+
+
 # In the axis ----------------------------------------------------------------------------------------------------------
 
 

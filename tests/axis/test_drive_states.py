@@ -1,5 +1,7 @@
 """Heartbeat against feedback: what contradicts what, for how long, and which transitions are none."""
 
+import math
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -114,7 +116,7 @@ def test_a_drive_without_the_bit_has_its_time_to_follow() -> None:
     for _ in range(100):
         assert tick(compared, None, state=READY, told=False) is None
     first = next(n for n in range(400) if tick(compared, None, state=READY))
-    assert 50 + PATIENCE <= first <= 50 + PATIENCE + 3
+    assert first == 51 + PATIENCE
     # Told to be off, it is the watch on a disabled drive that looks at what it says.
     assert all(tick(compared, None, state=ENABLED, told=False) is None for _ in range(200))
 
@@ -130,3 +132,35 @@ def test_the_cause_has_its_numbers_and_outlives_a_reload_but_not_the_bus() -> No
     assert other.contradiction == text
     other.forget()
     assert other.contradiction is None
+
+
+@pytest.mark.parametrize("missed", [0, 1, 4])
+def test_missed_ticks_are_time_in_which_a_drive_could_follow_and_contradict(missed: int) -> None:
+    compared = comparison()
+    tick(compared, None, told=False)
+    first = next(n for n in range(400) if tick(compared, None, state=READY, missed=missed))
+    follows = math.ceil(51 / (1 + missed))
+    assert first == follows + math.ceil(PATIENCE / (1 + missed))
+    assert compared.contradiction is not None
+    assert f"for {10 * (first - follows) * (1 + missed)} ms" in compared.contradiction
+
+
+def test_feedback_counts_that_has_come_at_any_time_since_the_heartbeat_before() -> None:
+    compared = comparison()
+    for n in range(100):
+        tick(compared, state=FAULT if n % 10 == 9 else None, reported=n % 10 == 0)
+    assert compared.contradiction is not None
+
+
+def test_after_the_bus_was_lost_everything_is_counted_anew() -> None:
+    compared = comparison()
+    for _ in range(100):
+        tick(compared, None, state=READY)
+    compared.forget()
+    assert (compared.state, compared.new) == (None, None)
+    assert tick(compared, None, state=READY, reported=False) is None
+    first = next(n for n in range(1, 400) if tick(compared, None, state=READY))
+    assert first == 50 + PATIENCE
+    compared.forget()
+    heard = [tick(compared, state=FAULT if n % 40 == 0 else None) for n in range(200)]
+    assert next(n for n, text in enumerate(heard) if text) == 80  # the third heartbeat

@@ -8,7 +8,7 @@ from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_states import interpret
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import Command, Feedback
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 
@@ -16,8 +16,8 @@ READY = interpret("Ready to switch on")
 ENABLED = interpret("Operation enabled")
 
 
-def axis_of(*, tells_enabled: bool = True, resolution: float = 0.001, **limits: float) -> Axis:
-    design = design_axis(axis_settings(**limits), PERIOD_S)
+def axis_of(*, tells_enabled: bool = True, resolution: float = 0.001, innovation: float = 0.5) -> Axis:
+    design = design_axis(axis_settings(innovation=innovation), PERIOD_S)
     return Axis(design, 16, resolution=resolution, tells_enabled=tells_enabled)
 
 
@@ -27,7 +27,7 @@ class Silent(AxisRig):
     state_told = READY
     every = 10
 
-    def tick(self, missed: int = 0):  # type: ignore[no-untyped-def]
+    def tick(self, missed: int = 0) -> Command:
         self.tick_index += 1 + missed
         self.axis.begin_tick(self.tick_index, missed)
         self.counter = (self.counter + 1) % 16
@@ -71,7 +71,7 @@ def test_one_that_says_that_it_is_enabled_while_it_is_told_to_be_disabled_has_a_
 
 def test_a_command_of_somebody_else_lasts_with_its_frame_and_tick_without_a_trip() -> None:
     rig = AxisRig().seconds(0.1)
-    assert rig.axis.lasting == ()
+    assert not rig.axis.lasting
     rig.axis.take_foreign_command("0x201 enables", enables=True)
     rig.tick()
     (told,) = rig.axis.lasting
@@ -79,7 +79,7 @@ def test_a_command_of_somebody_else_lasts_with_its_frame_and_tick_without_a_trip
     assert told.cause == "another node on the bus commands this drive: 0x201 enables (frame 1, 10 ms ago)"
     assert (rig.axis.trip, rig.axis.hazards) == (None, ())
     rig.seconds(0.6)
-    assert rig.axis.lasting == ()
+    assert not rig.axis.lasting
 
 
 def test_one_that_trips_is_told_once() -> None:

@@ -1,7 +1,6 @@
 """Limits that protect from nothing: on which side of which number each is told, with which numbers, and what to do."""
 
 import dataclasses
-import functools
 from typing import Any
 
 import pytest
@@ -26,13 +25,20 @@ def changed(tick_s: float = PERIOD_S, **tables: Any) -> AxisDesign:
     return dataclasses.replace(DESIGN, settings=AxisSettings.model_validate(DEMO | merged), period_s=tick_s)
 
 
+def value_of(design: AxisDesign, key: tuple[str, ...]) -> object:
+    value: object = design.settings
+    for name in key:
+        value = getattr(value, name)
+    return value
+
+
 def weak(
     tick_s: float = PERIOD_S, resolution: float = 0.001, *, heartbeat: bool = True, **tables: Any
 ) -> list[WeakLimit]:
     design = changed(tick_s, **tables)
     found = list(weak_limits(design, resolution, heartbeat=heartbeat))
     for one in found:
-        assert one.value == functools.reduce(getattr, one.key, design.settings)
+        assert one.value == value_of(design, one.key)
         assert ": " in one.disables
         assert "None" not in one.disables
         assert one.do
@@ -116,7 +122,8 @@ def test_a_gate_is_told_with_how_far_it_is_open(name: str) -> None:
 )
 def test_of_moves_and_searches_likewise(table: str, name: str, last: float, first: float) -> None:
     assert keys(**{table: {name: last}}) == []
-    (told,) = weak(**{table: {name: first}})
+    tables: dict[str, Any] = {table: {name: first}}
+    (told,) = weak(**tables)
     assert (told.key, told.value) == ((table, name), first)
 
 
@@ -134,8 +141,9 @@ def test_a_window_wider_than_the_travel_is_told_whatever_the_law_does() -> None:
 @pytest.mark.parametrize("name", ["arming_timeout_ms", "jog_timeout_ms"])
 def test_a_time_in_which_the_axis_crosses_its_travel_is_told(name: str) -> None:
     short = {"position_minimum": 0.0, "position_maximum": 25.0}  # 100 ms at 250 mm/s
+    long: dict[str, Any] = {name: 101.0}
     assert name not in keys(limits=short, **{name: 100.0})
-    (told,) = [one for one in weak(limits=short, **{name: 101.0}) if one.key == (name,)]
+    (told,) = [one for one in weak(limits=short, **long) if one.key == (name,)]
     assert told.value == 101.0
     assert "crosses its whole travel in 100 ms" in told.disables
     assert told.do == "lower it well below that"
