@@ -74,7 +74,11 @@ def test_a_drive_that_is_told_to_enable_is_not_watched(told: list[tuple[bool | N
         assert not watch.not_disabled
     watch.release(True)
     watch.look(0, True, 0.0, 0.0)
-    assert (watch.not_disabled, watch.enabled_ms, watch.moved) == (False, 0.0, None)
+    assert (watch.not_disabled, watch.enabled_ms, watch.moved, watch.told_ms) == (False, 0.0, None, 0.0)
+    watch.look(2, True, 0.0, 0.0)
+    assert watch.told_ms == pytest.approx(30.0)
+    watch.release(None)
+    assert watch.told_ms == 0.0
 
 
 def coasting(speed: float, pole: float, ticks: int, noise: list[float]) -> list[float]:

@@ -2,12 +2,13 @@
 
 import dataclasses
 import itertools
+import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import DEMO, PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import DesignError, design_axis
 from twostage_servo.axis.detection import (
@@ -215,6 +216,76 @@ def test_what_is_computed_is_what_an_axis_does() -> None:
                 rig.tick()
             assert one.certain
             assert one.travel == pytest.approx(abs(rig.position - at), abs=1.2 * one.velocity * PERIOD_S)
+
+
+@pytest.mark.parametrize("velocity", [100.0, 250.0])
+@pytest.mark.parametrize("change_of", list(CHANGES))
+def test_what_is_computed_for_a_stop_is_what_an_axis_does(change_of: str, velocity: float) -> None:
+    """20 ms after it began: the way to the trip, or to rest where nothing is noticed."""
+    design = design_axis(axis_settings(innovation=5.0), PERIOD_S)
+    (one,) = [
+        one for one in detections(design) if (one.change, one.phase, one.velocity) == (change_of, "stopping", velocity)
+    ]
+    rig = AxisRig(Axis(design, 16)).armed()
+    bring_into(rig, "stopping", velocity)
+    at, farthest = rig.position, 0.0
+    change(rig, CHANGES[change_of])
+    for _ in range(100):
+        if rig.axis.trip is None:
+            rig.tick()
+            farthest = max(farthest, abs(rig.position - at))
+    assert one.certain is (rig.axis.trip is not None)
+    assert one.travel == pytest.approx(farthest, abs=1.2 * velocity * PERIOD_S)
+
+
+def looked_at(**settings: Any) -> list[tuple[str, str, float]]:
+    design = design_axis(axis_settings(**settings), PERIOD_S)
+    return [(one.change, one.phase, round(one.velocity, 6)) for one in detections(design)]
+
+
+def test_each_change_is_looked_at_in_a_cruise_and_in_a_stop_at_both_speeds_that_there_is_room_for() -> None:
+    def all_at(*speeds: float) -> list[tuple[str, str, float]]:
+        return [(change, phase, speed) for speed in speeds for phase in ("cruising", "stopping") for change in CHANGES]
+
+    assert looked_at() == all_at(250.0, 100.0)
+    assert looked_at(velocity=100.0) == all_at(100.0)
+    # Half of 20 mm to speed up in at 2,000 mm/s², and half of 4 mm.
+    assert looked_at(position_minimum=-2.0, position_maximum=18.0) == all_at(200.0, 100.0)
+    assert looked_at(position_minimum=1.0, position_maximum=5.0) == all_at(round(8000.0**0.5, 6))
+
+
+def test_the_travel_begins_at_the_change() -> None:
+    """At 0.5 mm/s, and without noise, it is less than a hundredth of a mm."""
+    limits = DEMO["limits"] | {"velocity": 0.5, "overspeed": 1.0, "innovation": 0.001, "innovation_time_ms": 0.0}
+    slow = {"cruise_velocity": 0.5, "limits": limits, "observer": {"measurement_variance": 1e-8}}
+    homing = {"velocity": 0.5, "slow_velocity": 0.5}
+    settings = AxisSettings.model_validate(DEMO | slow | {"homing": homing})
+    told = detections(design_axis(settings, PERIOD_S))
+    assert all(0.0 < one.travel < 0.05 for one in told)
+
+
+def test_a_change_in_a_cruise_is_certain_from_the_slowest_certain_speed_on_and_not_at_half_of_it() -> None:
+    design = design_axis(axis_settings(), PERIOD_S)
+    slowest = slowest_certain_velocity(design)
+    assert math.log2(250.0 / slowest) == round(math.log2(250.0 / slowest)) > 0
+
+    def certain(velocity: float) -> bool:
+        slow = dataclasses.replace(design, settings=design.settings.model_copy(update={"cruise_velocity": velocity}))
+        return all(one.certain for one in detections(slow) if (one.phase, one.velocity) == ("cruising", velocity))
+
+    assert certain(slowest)
+    assert not certain(0.5 * slowest)
+
+
+def test_where_a_change_is_certain_at_no_speed_there_is_no_slowest_one() -> None:
+    assert slowest_certain_velocity(design_axis(noisy(), PERIOD_S)) == math.inf
+
+
+def test_a_stop_that_goes_on_for_longer_than_it_is_waited_for_has_no_travel() -> None:
+    """From 250 mm/s at 50 mm/s² it takes 5 s."""
+    design = design_axis(noisy(acceleration=50.0), PERIOD_S)
+    travels = {one.travel for one in detections(design) if one.velocity == 250.0 and not one.certain}
+    assert travels == {math.inf}
 
 
 @pytest.mark.parametrize("name", ["demo", "example1", "example2", "socketcan", "two_processes", "second_axis"])

@@ -161,7 +161,7 @@ class _Run:
     def tick(self) -> bool:
         """Go on by a tick; return whether the axis has noticed that its encoder is not to be trusted."""
         motion = self._motion
-        self._drive.begin_tick(0, motion.expected_position(driven=True))
+        self._drive.begin_tick(0)
         self._drive.take(Feedback(self._sample))
         motion.begin_tick(0)
         effort = motion.step()
