@@ -1,9 +1,12 @@
 """Snapshots of many axes for many watchers: made once a tick, shared, and never while a tick is under way."""
 
+import asyncio
+import contextlib
 import itertools
 import json
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -13,6 +16,9 @@ from tests.service.test_several_axes import Plant, axis_page, machine_file, oper
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.station import Station
 from twostage_servo.service.status_lines import StatusLines
+from twostage_servo.service.turns import Rank
+from twostage_servo.service.watchers import Watchers
+from twostage_servo.simulation.virtual_clock import run
 
 NAMES = ["a", "b", "c", "d"]
 WATCHERS = 63
@@ -133,3 +139,94 @@ def test_a_defect_in_what_is_shown_ends_the_service(tmp_path: Path, monkeypatch:
         assert isinstance(world.service.failure, ZeroDivisionError)
 
     serve(path, script)
+
+
+class FewPieces:
+    """Turns of one piece each, and something that happens after the first of them."""
+
+    slice_s = 0.0
+
+    def __init__(self, after_the_first: Callable[[], None]) -> None:
+        self._then = [after_the_first]
+
+    @contextlib.asynccontextmanager
+    async def turn(self, _: Rank) -> AsyncIterator[None]:
+        yield
+        if self._then:
+            self._then.pop()()
+
+
+class Watcher:
+    """A connection that watches, as far as snapshots go."""
+
+    def __init__(self) -> None:
+        self.every = self.due = 0
+        self.axis: str | None = None
+        self.busy = False
+        self.lines: list[bytes] = []
+
+    def send_snapshot(self, line: bytes) -> bool:
+        self.lines.append(line)
+        return True
+
+
+class Shown:
+    """What there is to be shown now: in two pieces, of which each tells the time at which it was made."""
+
+    now = 0
+
+    def line(self, _: str | None, before: bytes) -> Iterator[bytes]:
+        yield b"%d" % self.now
+        yield b" %d" % self.now
+
+
+@pytest.mark.parametrize("later", [1, 7, 1000])
+@pytest.mark.parametrize("watched_before", [False, True])
+def test_what_was_begun_for_a_watcher_who_has_gone_is_shown_to_nobody_later(later: int, watched_before: bool) -> None:
+    """One `watch` was ended in the middle of its snapshot, on a busy host; the next one was shown how it was then."""
+    first, second, shown = Watcher(), Watcher(), Shown()
+    connections = {first: None, second: None}
+    book: Any = type("Book", (dict,), {"touch": lambda *_: None})(connections)
+    turns: Any = FewPieces(lambda: book.pop(first))
+    status: Any = shown
+    watchers = Watchers(book, status, turns)
+
+    async def script() -> None:
+        working = asyncio.create_task(watchers.run())
+        watchers.begin(cast("Any", first), 1, None)
+        if watched_before:
+            watchers.begin(cast("Any", second), 5, None)
+            second.due = later + 1  # it has been sent one, and is not due before
+        for tick in (1, later):
+            shown.now = tick
+            watchers.publish(tick)
+            await asyncio.sleep(0.001)
+        if not watched_before:
+            watchers.begin(cast("Any", second), 1, None)
+        shown.now = later + 1
+        watchers.publish(later + 1)
+        await asyncio.sleep(0.001)
+        working.cancel()
+
+    run(script())
+    assert (first.lines, second.lines) == ([], [b"%d %d" % (later + 1, later + 1)])
+
+
+def test_whoever_begins_to_watch_is_not_shown_what_another_was_shown_before_in_the_same_tick() -> None:
+    """Between the two somebody may have commanded: `arm`, and then a snapshot that says `disarmed`, is none of it."""
+    first, second, shown = Watcher(), Watcher(), Shown()
+    book: Any = type("Book", (dict,), {"touch": lambda *_: None})({first: None, second: None})
+    turns = FewPieces(lambda: watchers.begin(cast("Any", second), 10, None))
+    watchers = Watchers(book, cast("Any", shown), cast("Any", turns))
+    watchers.begin(cast("Any", first), 10, None)
+
+    async def script() -> None:
+        working = asyncio.create_task(watchers.run())
+        for tick in (1, 2):
+            shown.now = tick
+            watchers.publish(tick)
+            await asyncio.sleep(0.001)
+        working.cancel()
+
+    run(script())
+    assert (first.lines, second.lines) == ([b"1 1"], [b"2 2"])

@@ -422,7 +422,7 @@ class ControlSocket:
                     connection.urgent = None
                     pieces, done = self._handler.answer(request, connection)
                     if done and isinstance(request, WatchRequest):
-                        connection.every, connection.axis = request.every, request.axis
+                        self._watchers.begin(connection, request.every, request.axis)
                 is_more = self._send_some(connection, pieces)
             await connection.taken()
             await asyncio.sleep(0)

@@ -1,7 +1,7 @@
 """Snapshots for those who watch: made and sent between the ticks, within the time that all clients have together."""
 
 import asyncio
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from twostage_servo.service.turns import Rank
 
@@ -18,8 +18,19 @@ _MOST_A_TURN: Final = 16
 """Pieces made, or snapshots sent, however little time they seem to take."""
 
 
+class _Begun(NamedTuple):
+    """A line that is being made: since which tick, and its pieces, those to come and those that there are."""
+
+    tick: int
+    pieces: "Iterator[bytes]"
+    made: list[bytes]
+
+
 class Watchers:
     """Sends a snapshot to each connection for which one is due; where time is short it comes later.
+
+    A snapshot is never older than the tick at which it fell due: whoever waits for what a command does must not be
+    shown what was before it. A line that was begun for somebody who has gone meanwhile is for nobody who comes later.
 
     Parameters
     ----------
@@ -37,8 +48,12 @@ class Watchers:
         self._turns = turns
         self._tick = 0
         self._due = asyncio.Event()
-        self._begun: dict[str | None, tuple[Iterator[bytes], list[bytes]]] = {}
-        self._lines: dict[str | None, bytes] = {}
+        self._begun: dict[str | None, _Begun] = {}
+        self._lines: dict[str | None, tuple[int, bytes]] = {}  # with the tick since which each was made
+
+    def begin(self, connection: "Connection", every: int, axis: str | None) -> None:
+        """Let a connection have a snapshot each `every` ticks, from the next tick on."""
+        connection.every, connection.axis, connection.due = every, axis, self._tick + 1
 
     def publish(self, tick: int) -> None:
         """Take notice of a tick; only here is a snapshot found to be due."""
@@ -70,28 +85,31 @@ class Watchers:
         """Go on with what is due the longest, for as long as a turn should take."""
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._turns.slice_s
-        name = due[0].axis
-        if name not in self._lines:
-            self._make(name, until_s)
-        if name not in self._lines:
+        name, since = due[0].axis, due[0].due
+        if name not in self._lines or self._lines[name][0] < since:
+            self._make(name, since, until_s)
+        if name not in self._lines or self._lines[name][0] < since:
             return
-        line = self._lines[name]
-        for connection in [one for one in due if one.axis == name and self._is_due(one)][:_MOST_A_TURN]:
+        tick, line = self._lines[name]
+        for connection in [one for one in due if one.axis == name and one.due <= tick][:_MOST_A_TURN]:
             connection.due = self._tick + connection.every
             if connection.send_snapshot(line):
                 self._connections.touch(connection)
             if clock() >= until_s:
                 return
 
-    def _make(self, name: str | None, until_s: float) -> None:
+    def _make(self, name: str | None, since: int, until_s: float) -> None:
+        """Go on with a line that was not begun before a tick, or begin one."""
         clock = asyncio.get_running_loop().time
-        pieces, made = self._begun.setdefault(name, (self._status.line(name, _BEGIN), []))
+        begun = self._begun.get(name)
+        if begun is None or begun.tick < since:
+            begun = self._begun[name] = _Begun(self._tick, self._status.line(name, _BEGIN), [])
         for _ in range(_MOST_A_TURN):
-            piece = next(pieces, None)
+            piece = next(begun.pieces, None)
             if piece is None:
                 del self._begun[name]
-                self._lines[name] = b"".join(made)
+                self._lines[name] = begun.tick, b"".join(begun.made)
                 return
-            made.append(piece)
+            begun.made.append(piece)
             if clock() >= until_s:
                 return
