@@ -26,6 +26,7 @@ class Bench:
         motion: Any = SimpleNamespace(
             law=self.law,
             doubts_sample=False,
+            innovation_limit=0.5,
             set_target=lambda target, velocity: self.asked.append((target, velocity)),
             stop=self.asked.append,
         )
@@ -120,6 +121,26 @@ def test_only_an_index_mark_from_now_on_counts() -> None:
     assert not bench.at(98.0)
     assert (bench.search.reference, bench.asked[1:]) == (98.5, [2000.0])
     assert bench.at(97.0, Stage.POSITION)
+
+
+@pytest.mark.parametrize(("direction", "sign"), [("positive", 1.0), ("negative", -1.0)])
+@pytest.mark.parametrize(("before_the_start", "ahead"), [(0.5, 0.0), (0.0, 0.5)])
+def test_an_index_mark_is_taken_only_on_the_way_of_the_search(
+    direction: str, sign: float, before_the_start: float, ahead: float
+) -> None:
+    """From 100 on by 2 mm: what a sample may be off by is 0.5 mm, and three ticks at 20 mm/s are 0.6."""
+    for off, is_taken in ((0.59, True), (0.61, False), (900.0, False)):
+        bench = Bench(method="index", direction=direction)
+        bench.at(100.0 + sign)
+        off_start = before_the_start + off if before_the_start else 0.0
+        bench.drive.index = 100.0 - sign * off_start if before_the_start else 100.0 + sign * (2.0 + ahead + off)
+        if is_taken:
+            bench.at(100.0 + sign * 2.0)
+            assert bench.search.reference == bench.drive.index
+        else:
+            with pytest.raises(HomingFailed, match=r"an index mark at .* where the axis has not been.* from 100 to "):
+                bench.at(100.0 + sign * 2.0)
+            assert bench.search.reference is None
 
 
 def test_a_switch_or_a_mark_on_the_way_is_not_what_another_method_looks_for() -> None:

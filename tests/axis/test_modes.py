@@ -170,6 +170,19 @@ def test_homing_to_an_index_mark_takes_what_the_drive_latched() -> None:
     assert rig.sample - rig.axis.drive.position == pytest.approx(33.25 - 12.0, abs=1e-9)
 
 
+def test_an_index_mark_where_the_axis_has_not_been_is_no_reference() -> None:
+    """A message at another scale, or of another node: the axis was "homed" there, 900 mm off."""
+    rig = rig_with({"method": "index", "direction": "positive", **SEARCH}).armed()
+    rig.axis.home()
+    rig.seconds(1.0)
+    rig.axis.drive.take_index(900.0)
+    rig.seconds(1.0)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.HOMING_FAILED
+    assert "an index mark at 900 mm" in rig.axis.trip.cause
+    assert not rig.axis.reference.is_homed
+
+
 def test_a_switch_that_only_flickers_is_no_reference() -> None:
     rig = rig_with({"method": "switch", "direction": "positive", **SEARCH})
     rig.inputs["home_switch"] = False

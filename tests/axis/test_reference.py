@@ -21,9 +21,17 @@ LONG = [LIMIT_TICKS + 1, 20, 300]
 BOOTS = 7
 
 
-def homed(place: float = 300.0, *, required: bool = True, boots: int | None = None, period: float = 0.0) -> AxisRig:
+def homed(
+    place: float = 300.0,
+    *,
+    required: bool = True,
+    boots: int | None = None,
+    period: float = 0.0,
+    homing: dict[str, object] | None = None,
+) -> AxisRig:
     """Return a disarmed axis that stands at a place which the operator has told, where the encoder counts the same."""
-    axis = Axis(design_axis(axis_settings({"required": required}), PERIOD_S), 16, period, resolution=0.001)
+    settings = axis_settings({"required": required} | (homing or {}))
+    axis = Axis(design_axis(settings, PERIOD_S), 16, period, resolution=0.001)
     rig = AxisRig(axis, position=place, sample=place)
     rig.seconds(0.1)
     if boots is not None:
@@ -362,6 +370,35 @@ def test_what_was_lost_stays_lost_across_a_reload_with_its_reason() -> None:
 def test_after_a_reload_with_another_homing_it_says_so() -> None:
     former = homed(required=False)
     assert reason(other_settings(former)) == "[axis.homing] has changed"
+
+
+@pytest.mark.parametrize(
+    ("before", "change", "is_lost"),
+    [
+        ({}, {"position": 3.0}, True),
+        ({}, {"method": "hard_stop"}, True),
+        ({"method": "index"}, {"method": "index", "direction": "positive"}, True),
+        ({"position": 3.0}, {"position": 3.0}, False),
+    ],
+)
+@pytest.mark.parametrize("required", [True, False])
+def test_a_place_that_was_found_by_other_rules_does_not_count_after_a_reload(
+    before: dict[str, object], change: dict[str, object], required: bool, is_lost: bool
+) -> None:
+    """Its number was that of the former settings: "homed" at 1 mm, where the file says 3 by now."""
+    wants = {"required": required}
+    rig = homed(homing=before | wants)
+    axis = Axis(design_axis(axis_settings(change | wants), PERIOD_S), 16, resolution=0.001)
+    axis.take_over(rig.axis)
+    assert axis.reference.lost_because == ("[axis.homing] has changed" if is_lost else "")
+    assert axis.referenced is not is_lost
+
+
+def test_an_axis_that_nobody_has_homed_loses_nothing_by_another_homing() -> None:
+    rig = AxisRig(Axis(design_axis(axis_settings(), PERIOD_S), 16, resolution=0.001))
+    axis = Axis(design_axis(axis_settings({"position": 3.0}), PERIOD_S), 16, resolution=0.001)
+    axis.take_over(rig.axis)
+    assert axis.reference.source is ReferenceSource.ENCODER
 
 
 @pytest.mark.parametrize("silent_ticks", [1, 10])

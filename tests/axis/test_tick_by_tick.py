@@ -246,7 +246,7 @@ def test_a_reboot_trips_an_enabled_axis_and_a_foreign_command_too() -> None:
     [
         (True, False, True, True), (True, False, False, False),
         (True, True, True, False), (True, True, False, False),
-        (False, True, True, True), (False, True, False, False),
+        (False, True, True, False), (False, True, False, False), (False, False, True, True),
     ],
 )  # fmt: skip
 def test_after_other_settings_a_reference_is_known_that_was_found_by_the_same_rules(

@@ -183,7 +183,11 @@ def test_the_lease_by_itself() -> None:
 
 @pytest.mark.parametrize(
     ("policy", "ends", "because"),
-    [("continue", "reached", None), ("stop", "stopped", "service.holder_lost"), ("disarm", "stopped", None)],
+    [
+        ("continue", "reached", None),
+        ("stop", "stopped", "service.holder_lost is stop"),
+        ("disarm", "stopped", "service.holder_lost is disarm"),
+    ],
 )
 def test_a_connection_that_dies_in_mid_move(path: Path, policy: str, ends: str, because: str | None) -> None:
     async def script(world: World, _: ControlSocket) -> None:
@@ -301,6 +305,50 @@ def test_a_jog_ends_with_its_connection_whatever_the_policy(path: Path, policy: 
         assert world.drive.position - position < 4.0
 
     serve(path, script, f"service.holder_lost='{policy}'")
+
+
+async def ask_blindly(world: World, operator: Operator, seconds: float) -> list[str]:
+    """Ask for a jog every 100 ms whatever the answers are, as a pendant does; return the codes of the refusals."""
+    codes = []
+    for _ in range(round(seconds / 0.1)):
+        answer = await operator.ask(op="jog", velocity=50.0)
+        codes.append("" if answer["ok"] else answer["error"]["code"])
+        await world.seconds(0.1)
+    return codes
+
+
+@pytest.mark.parametrize("quick", [False, True])
+@pytest.mark.parametrize("is_let_go_before", [False, True])
+def test_a_stop_by_somebody_else_outlasts_a_jog_that_is_asked_for_blindly(
+    path: Path,
+    quick: bool,
+    is_let_go_before: bool,
+) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        operator, other = await jogging(world, path), await connect(path)
+        if is_let_go_before:  # the time-out has just ended the jog, and the operator is about to go on
+            await world.until(lambda: world.state() is State.HOLDING)
+        await other.done(op="stop", quick=quick)
+        await world.until(lambda: world.state() is State.HOLDING)
+        place = world.drive.position
+        assert set(await ask_blindly(world, operator, 3.0)) == {"stopped"}
+        assert world.state() is State.HOLDING
+        assert abs(world.drive.position - place) < 0.5
+        await world.seconds(0.35)  # it is let go
+        assert set(await ask_blindly(world, operator, 1.0)) == {""}
+        assert world.drive.position > place + 20.0
+
+    serve(path, script)
+
+
+def test_whoever_stops_its_own_jog_may_jog_on_at_once(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        operator = await jogging(world, path)
+        await operator.done(op="stop")
+        await world.until(lambda: world.state() is State.HOLDING)
+        await operator.done(op="jog", velocity=50.0)
+
+    serve(path, script)
 
 
 def test_a_jog_comes_to_rest_at_the_position_limit(path: Path) -> None:

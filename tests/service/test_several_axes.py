@@ -1,6 +1,7 @@
 """Several axes and buses in one service: one tick, moves together, and what one axis' trouble does to the others."""
 
 import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -230,7 +231,7 @@ def test_when_one_trips_the_others_do_as_the_machine_says(tmp_path: Path, reacti
         move = plant.axis("y").move
         assert move is not None
         assert move.outcome == ("moving" if reaction == "continue" else "stopped")
-        if reaction in {"stop", "quick_stop"}:
+        if reaction != "continue":
             assert move.reason == f"x has tripped (machine.when_one_trips is {reaction})"
         plant.ask(op="reset")
         assert plant.axis("x").state is State.DISARMED
@@ -287,6 +288,30 @@ def test_an_axis_that_is_being_armed_is_not_armed_when_another_one_trips(
         assert plant.states() == [State.TRIPPED, after, State.HOLDING]
         reacted = [one for one in told if one["event"] == "another axis has tripped"]
         assert [(one["axis"], one["now"]) for one in reacted] == ([] if reaction == "continue" else [("y", after)])
+
+    operate(path, script)
+
+
+@pytest.mark.parametrize("reaction", ["continue", "stop", "quick_stop"])
+def test_a_jog_that_is_asked_for_blindly_does_not_go_on_beside_an_axis_that_has_tripped(
+    tmp_path: Path, reaction: str
+) -> None:
+    pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
+    path = machine_file(tmp_path, pages, f'when_one_trips = "{reaction}"\n')
+
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        places = []
+        for step in range(40):
+            with contextlib.suppress(Refused):
+                plant.ask(op="jog", axis="y", velocity=20.0)
+            await asyncio.sleep(0.1)
+            if step == 9:
+                plant.axis("x").raise_trip(TripCode.FOLLOWING_ERROR, "test")
+            places.append(plant.axis("y").drive.position or 0.0)
+        assert places[9] > 10.0
+        assert (places[-1] - places[15] > 40.0) == (reaction == "continue")
+        assert (abs(places[-1] - places[15]) < 0.5) == (reaction != "continue")
 
     operate(path, script)
 

@@ -68,8 +68,14 @@ class Axis(Machine):
         if obstacle := self.obstacle_to_arming():
             raise Refused(*obstacle)
 
-    def disarm(self) -> None:
-        """Bring a moving axis to rest, then disable the drive; an axis at rest is disabled at once."""
+    def disarm(self, reason: str | None = None) -> None:
+        """Bring a moving axis to rest, then disable the drive; an axis at rest is disabled at once.
+
+        Parameters
+        ----------
+        reason
+            What the end of a move is explained by, where it is not the operator who has asked for it.
+        """
         if self.state in LATCHED:  # disabled already, or about to be
             return
         before = self.state
@@ -77,7 +83,7 @@ class Axis(Machine):
         if self.state is State.DISARMING and before is not State.DISARMING:  # asked again, it goes on as it was
             limits = self.settings.limits
             quick = before is State.QUICK_STOPPING  # which is not made milder
-            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped")
+            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
 
     def move_to(self, target: float, velocity: float) -> Move:
         """Take a set-point in axis unit and its cruise velocity in axis unit/s; the effort stays continuous.
@@ -123,9 +129,17 @@ class Axis(Machine):
         Raises
         ------
         Refused
-            If the axis neither holds nor jogs, the velocity is not finite or too large, or the way is blocked.
+            If the axis neither holds nor jogs, the velocity is not finite or too large, or the way is blocked; or if
+            somebody else has stopped it, until a jog was not asked for during its time-out.
         """
         limits, check = self.settings.limits, self._admission
+        if self._jog_barred_ticks:
+            self._jog_barred_ticks = self._jog_ticks
+            raise Refused(
+                "stopped",
+                "this axis was stopped, and not by whoever jogs it: let go of the jog for "
+                f"{self.settings.jog_timeout_ms:g} ms, look at the axis, and ask again.",
+            )
         check.check_velocity(abs(velocity), limits.velocity if self.referenced else self.settings.homing.velocity)
         check.check_state(self.state, Event.JOG, self.present_trip)
         check.check_switches(velocity)
@@ -197,6 +211,13 @@ class Axis(Machine):
         harder = quick and before is State.DISARMING and self._deceleration < limits.quick_stop_deceleration
         if harder or (self.state in BRAKING and self.state is not before):
             self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
+
+    def bar_jog(self) -> None:
+        """Take no jog before it was let go for its time-out: a stop must outlast the requests that keep a jog going.
+
+        For a stop by somebody else than who jogs. Whoever asks blindly, every 100 ms, would set the axis moving again.
+        """
+        self._jog_barred_ticks = self._jog_ticks
 
     @property
     def slowest_velocity(self) -> float:

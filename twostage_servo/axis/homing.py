@@ -8,6 +8,9 @@ from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.settings import HomingSettings
 from twostage_servo.control.two_stage import Stage
 
+_TICKS_AHEAD = 3
+"""Ticks by which an index mark may be ahead of the samples."""
+
 
 class _Phase(enum.Enum):
     SEEK = "seeking"
@@ -28,7 +31,7 @@ class Homing:
     A switch is passed at the search velocity, then left slowly: the edge at which it opens is the reference, from the
     same side each time. A hard stop is where the axis stands still under the homing effort; it is left by a little, or
     the law would go on pushing for good against what it takes for a load. An index mark is what the drive latches on
-    the way.
+    the way: one that does not lie there contradicts the feedback, and one of the two is wrong.
 
     Parameters
     ----------
@@ -51,6 +54,8 @@ class Homing:
         self._deceleration = design.settings.limits.acceleration
         self._effort_limit = design.settings.limits.effort
         self._rest_velocity = design.rest_velocity
+        # A mark may be told of before the sample that shows the axis there: a tick, and a period of the drive's.
+        self._way_ahead = _TICKS_AHEAD * design.period_s * settings.slow_velocity
         self._motion = motion
         self._drive = drive
         self._sign = _sign(settings)
@@ -121,6 +126,7 @@ class Homing:
             self._motion.stop(self._deceleration)
             self._phase = _Phase.STOP_BEYOND
         elif self._settings.method == "index" and drive.index is not None:
+            self._check_on_the_way(drive.index)
             self._find(drive.index)
         elif self._settings.method == "hard_stop":
             observer = self._motion.law.observer
@@ -131,6 +137,17 @@ class Homing:
                 self.reference = observer.position
                 self._phase = _Phase.LEAVE
                 self._go(-self._sign, self._settings.slow_velocity)
+
+    def _check_on_the_way(self, mark: float) -> None:
+        """Refuse an index mark (axis unit) that the search has not passed."""
+        place, unit = self._motion.law.observer.position, self._unit
+        allowed = self._motion.innovation_limit + self._way_ahead
+        if not min(self._start, place) - allowed <= mark <= max(self._start, place) + allowed:
+            raise HomingFailed(
+                f"the drive tells of an index mark at {mark:.6g} {unit}, where the axis has not been: the search has "
+                f"gone from {self._start:.6g} to {place:.6g} {unit}. See that the index message counts on the scale of "
+                "the feedback, and that no other node sends it"
+            )
 
     def _has_left(self) -> bool:
         assert self.reference is not None  # noqa: S101 - it is found before it is left

@@ -93,6 +93,7 @@ class Machine:
         self._ticks_arming = 0
         self._disabled_ticks = 0
         self._jog_ticks_left = 0
+        self._jog_barred_ticks = 0  # for so long nobody must ask for a jog before one is taken again
         self._deceleration = 0.0  # of the present braking, or the latest
         self._arming_ticks = design.ticks(self.settings.arming_timeout_ms)
         self._jog_ticks = design.ticks(self.settings.jog_timeout_ms)
@@ -123,6 +124,7 @@ class Machine:
         self.drive.begin_tick(missed, self.motion.expected_position(driven=driven))
         self.motion.begin_tick(missed)
         self._jog_ticks_left -= 1 + missed
+        self._jog_barred_ticks = max(0, self._jog_barred_ticks - 1 - missed)
         if driven and missed > self.settings.limits.missed_ticks:
             self.raise_trip(
                 TripCode.MISSED_TICKS,
@@ -140,14 +142,15 @@ class Machine:
     def take_over(self, former: "Machine") -> None:
         """Know what a former axis on the same drive knew of it; both are disarmed, only the settings have changed.
 
-        A lost reference stays lost, and one that was found by other rules ([axis.homing]) has to be found again where
-        it is required.
+        A lost reference stays lost, and one that was found by other rules ([axis.homing]) has to be found again, as has
+        one that is required now.
         """
         self.drive.take_over(former.drive)
         self.disabled.take_over(former.disabled)
         self.count.take_over(former.count)
         self.reference.take_over(former.reference)
-        if self.settings.homing.required and self.settings.homing != former.settings.homing:
+        is_wanted = self.settings.homing.required or self.reference.is_homed
+        if is_wanted and self.settings.homing != former.settings.homing:
             self.reference.lose("[axis.homing] has changed")
 
     def take_heartbeat(self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False) -> None:

@@ -142,15 +142,16 @@ class Desk:
                 axis.stop(f"{client} has gone, who held the jog")
             elif axis.state in COMMANDED and policy != "continue":
                 self._log.warning("the lease's holder has gone", axis=station.name, client=client, policy=policy)
+                reason = f"{client} has gone, who commanded the move (service.holder_lost is {policy})"
                 if policy == "stop":
-                    axis.stop(f"{client} has gone, who commanded the move (service.holder_lost is stop)")
+                    axis.stop(reason)
                 else:
-                    axis.disarm()
+                    axis.disarm(reason)
 
     def _command(self, request: Request, client: str) -> None:
         match request:
             case StopRequest(quick=quick):  # whoever commands, everybody may bring the axes to rest
-                self._stop(self._axes(request), quick=quick)
+                self._stop(self._axes(request), client, quick=quick)
             case DisarmRequest():
                 for axis in self._axes(request):
                     axis.disarm()
@@ -194,8 +195,11 @@ class Desk:
 
     # What is asked of several at once is asked of all of them or of none ---------------------------------------------
 
-    def _stop(self, axes: "list[Axis]", *, quick: bool) -> None:
+    def _stop(self, axes: "list[Axis]", client: str, *, quick: bool) -> None:
         stoppable = [axis for axis in axes if axis.can_stop]
+        if self.lease.holder not in {None, client}:
+            for axis in stoppable:
+                axis.bar_jog()
         for axis in stoppable or axes:  # none can: the first says why
             axis.stop(quick=quick)
 

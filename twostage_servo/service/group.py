@@ -47,10 +47,11 @@ class Group:
             axis = other.axis
             if other is tripped or axis.state in LATCHED or axis.state not in ENABLED:
                 continue
-            before = axis.state
+            before, reason = axis.state, f"{tripped.name} has tripped (machine.when_one_trips is {self._reaction})"
+            axis.bar_jog()
             if self._reaction == "disarm":
-                axis.disarm()
+                axis.disarm(reason)
             elif before in COMMANDED or before is State.ARMING or (quick and before in BRAKING):
-                axis.stop(f"{tripped.name} has tripped (machine.when_one_trips is {self._reaction})", quick=quick)
+                axis.stop(reason, quick=quick)
             if axis.state is not before:
                 self._log.warning("another axis has tripped", axis=other.name, tripped=tripped.name, now=axis.state)

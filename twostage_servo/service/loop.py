@@ -156,7 +156,7 @@ class ServoService:
             self._ending_ticks = round(self.settings.shutdown_timeout_ms / self.settings.tick_ms)
             self._log.info("ending", states={station.name: station.axis.state for station in self.stations})
             for station in self.stations:
-                station.axis.disarm()
+                station.axis.disarm("the service ends")
 
     @property
     def is_ending(self) -> bool:
