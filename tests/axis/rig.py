@@ -91,6 +91,10 @@ class AxisRig:
         self.move(command.effort if self.enabled else 0.0)
         self.commands.append(command)
         self.states.append(self.axis.state)
+        for trip in (*self.axis.trips.values(), *self.axis.lasting):  # each says what happened, and when
+            assert trip.cause
+            assert "None" not in trip.cause
+            assert 0 <= trip.tick <= self.tick_index
         return command
 
     def move(self, effort: float) -> None:

@@ -11,7 +11,7 @@ from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback, Refused
-from twostage_servo.axis.state import Event, State
+from twostage_servo.axis.state import Event, State, next_state
 from twostage_servo.axis.trips import Reaction, Trip, TripCode
 
 SETTINGS = axis_settings(position_minimum=-100.0, position_maximum=250.0, position_overrun=20.0)
@@ -161,3 +161,14 @@ def test_no_effort_is_none_and_a_frame_is_asked_for_unless_it_says_otherwise() -
 def test_reactions_are_five_and_each_is_more_severe_than_the_one_before() -> None:
     names = ["NONE", "HOLD", "CONTROLLED_STOP", "QUICK_STOP", "DISABLE"]
     assert [reaction.name for reaction in sorted(Reaction)] == names
+
+
+@pytest.mark.parametrize("event", list(Event))
+def test_a_disarmed_axis_has_nothing_to_stop_and_is_armed_for_all_else(event: Event) -> None:
+    if next_state(State.DISARMED, event) is not None:
+        return
+    with pytest.raises(Refused) as refused:
+        HERE.check_state(State.DISARMED, event, None)
+    assert refused.value.code == "disarmed"
+    assert ("nothing to stop" in str(refused.value)) is (event in {Event.STOP, Event.QUICK_STOP})
+    assert ("`arm` it first" in str(refused.value)) is (event not in {Event.STOP, Event.QUICK_STOP})

@@ -91,6 +91,15 @@ def test_one_that_trips_is_told_once() -> None:
     assert rig.axis.hazards == rig.axis.lasting
 
 
+@pytest.mark.parametrize(("enables", "told"), [(True, True), (None, True), (False, False)])
+def test_a_drive_that_does_not_tell_is_taken_to_obey_what_it_has_been_told(enables: bool | None, *, told: bool) -> None:
+    rig = Silent(axis_of(tells_enabled=False)).seconds(0.1)
+    rig.axis.take_foreign_command("0x201", enables=enables)
+    rig.tick()
+    assert (TripCode.FOREIGN_COMMAND in rig.axis.trips) is told
+    assert [one.code for one in rig.axis.lasting] == [TripCode.FOREIGN_COMMAND]
+
+
 # What a disabled axis may have moved ---------------------------------------------------------------------------------
 
 

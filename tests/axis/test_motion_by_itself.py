@@ -81,6 +81,13 @@ def test_tracking_begins_at_the_first_sample_and_takes_the_speed_from_the_second
     assert bench.estimate() == (expected.position, expected.velocity)
 
 
+def test_another_origin_between_the_first_two_samples_is_no_speed() -> None:
+    bench = Bench().track(10.0)
+    bench.motion.shift(100.0)
+    bench.track(110.0)
+    assert bench.estimate() == pytest.approx((110.0, 0.0))
+
+
 def test_while_nothing_is_tracked_only_a_driven_axis_has_an_expected_position() -> None:
     motion = Bench().motion
     assert motion.expected_position(driven=False) is None
@@ -321,6 +328,31 @@ def test_what_may_be_held_bears_no_more_than_it_does_already() -> None:
         assert bench.motion.law.effort_limit == limit
     bench.motion.start()
     assert bench.motion.law.effort_limit == 24.0
+
+
+def test_an_encoder_that_seems_to_stand_still_shows_motion_by_a_sample_alone() -> None:
+    bench = Bench().holding()
+    bench.step(10.0)
+    bench.step(10.0)
+    bench.motion.distrust()
+    bench.step(None)
+    assert not bench.motion.moves_after_all
+    bench.step(10.0)
+    assert not bench.motion.moves_after_all
+    bench.step(11.0)
+    assert bench.motion.moves_after_all
+
+
+def test_an_axis_of_which_nothing_has_been_shown_does_not_stand() -> None:
+    """What an encoder that stands seems to hold is no disturbance; before the first sample none has stood."""
+    bench = Bench().holding()
+    bench.observer.velocity, bench.observer.disturbance = 50.0, 1.0
+    bench.motion.stop(2000.0)
+    bench.step(None)
+    assert bench.observer.disturbance > 0.5
+    bench.step(11.0)
+    bench.step(11.0)
+    assert bench.observer.disturbance == 0.0
 
 
 def test_the_speed_is_known_from_the_second_sample_on_until_the_track_is_lost() -> None:

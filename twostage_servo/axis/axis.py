@@ -185,8 +185,8 @@ class Axis(Machine):
         """
         if self.state is not State.DISARMED:
             self._admission.check_state(self.state, Event.HOME, self.present_trip)
-        is_known = self.state is not State.DISARMED or self.motion.knows_speed
-        is_known = is_known and not self.motion.doubts_sample  # or a spike would be taken for where the axis stands
+        # A sample in doubt may be a spike, which would be taken for where the axis stands.
+        is_known = self.motion.knows_speed and not self.motion.doubts_sample
         velocity = self.law.observer.velocity if is_known else None
         self._admission.check_place(position, velocity, self.design.rest_velocity)
         assert self.drive.position is not None  # noqa: S101 - just checked
