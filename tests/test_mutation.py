@@ -230,13 +230,13 @@ def counted(tmp_path: Path) -> Path:
 
 def learn(tree: Path) -> KeptReach:
     kept = KeptReach(tree / "reach.json", tree, ["tests"])
-    source = tree / "twostage_servo/counter.py"
-    before = source.read_text()
+    before = {file: file.read_text() for file in (tree / "twostage_servo").glob("*.py")}
     let_functions_tell(tree)
     command = [sys.executable, "-m", "pytest", "-q", "-p", "mutation.reach", "-p", "no:cacheprovider", *kept.unknown()]
     environ = environment(tree, tree / "none") | {OUTPUT: str(tree / "found.json")}
     subprocess.run(command, cwd=tree, env=environ, check=True, capture_output=True)  # noqa: S603 - fixed
-    source.write_text(before)
+    for file, text in before.items():
+        file.write_text(text)
     kept.add(json.loads((tree / "found.json").read_text()))
     return kept
 
@@ -253,6 +253,16 @@ def test_it_is_known_which_functions_a_test_calls_in_any_thread_and_which_its_im
     assert f"{module}:never" not in reach.tests
     assert f"{module}:two" in reach.at_import
     assert set(reach.took_s) == {up, thread}
+
+
+def test_a_process_that_a_test_starts_tells_nobody(counted: Path) -> None:
+    let_functions_tell(counted)
+    script = "from twostage_servo.counter import Counter; print(Counter().up())"
+    environ = environment(counted, counted / "none")
+    done = subprocess.run(  # noqa: S603 - fixed
+        [sys.executable, "-c", script], cwd=counted, env=environ, check=True, capture_output=True
+    )
+    assert done.stdout == b"2\n"
 
 
 def test_only_files_of_tests_that_have_changed_are_run_unmutated_again(counted: Path) -> None:

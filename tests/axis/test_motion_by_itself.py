@@ -217,6 +217,27 @@ def test_after_missed_ticks_only_a_sample_with_a_date_is_used() -> None:
     assert bench.motion.predicted == 1
 
 
+@pytest.mark.parametrize("lag", [1.0, 1.25, 2.0, 2.5, 3.0, 4.0])
+def test_a_sample_from_among_missed_ticks_is_compared_with_where_the_model_was_then(lag: float) -> None:
+    """The axis speeds up by 90 mm/s in these ticks, so its present speed would not do."""
+    bench = Bench().holding()
+    bench.observer.velocity, bench.observer.disturbance = 20.0, 20.0
+    wanted = DESIGN.build_law().observer
+    wanted.continue_from(bench.observer)
+    path = [wanted.position]
+    for _ in range(3):
+        wanted.predict(0.0)
+        path.append(wanted.position)
+    bench.motion.skip(3)
+    assert bench.estimate() == pytest.approx((wanted.position, wanted.velocity))
+    ago = min(lag, 3.0)
+    whole = math.ceil(ago)
+    then = path[3 - whole] + (whole - ago) * (path[min(4 - whole, 3)] - path[3 - whole])
+    bench.step(then, age_s=(1.0 + lag) * PERIOD_S, missed=3)
+    assert bench.motion.implausible == 0
+    assert bench.observer.innovation == pytest.approx(0.0, abs=1e-9)
+
+
 def test_missed_ticks_move_law_and_nominal_alike() -> None:
     bench = Bench().holding()
     bench.motion.set_target(400.0, 100.0)
@@ -341,6 +362,36 @@ def test_an_encoder_that_seems_to_stand_still_shows_motion_by_a_sample_alone() -
     assert not bench.motion.moves_after_all
     bench.step(11.0)
     assert bench.motion.moves_after_all
+
+
+@pytest.mark.parametrize(("resolution", "least"), [(0.001, 0.3), (1.0, 1.5)])
+def test_motion_is_more_than_the_noise_and_than_a_step_of_the_encoder(resolution: float, least: float) -> None:
+    """Three deviations of the measured position, 0.1 mm; one and a half steps."""
+    for side in (1.0, -1.0):
+        bench = Bench(resolution=resolution).holding()
+        bench.step(10.0)
+        bench.step(10.0)
+        bench.motion.distrust()
+        bench.report(10.0 + side * (least - 0.001))
+        assert [bench.motion.moves_after_all] == [False]
+        bench.report(10.0 + side * (least + 0.001))
+        assert [bench.motion.moves_after_all] == [True]
+
+
+def test_what_a_sample_corrects_stands_and_what_the_model_predicts_does_not() -> None:
+    """The speed at which a stop begins has what lasting corrections make up for."""
+    speeds = []
+    for seen in (True, False):
+        bench = Bench().holding()
+        bench.motion.model_test.is_sure = False
+        for _ in range(30):
+            bench.observer.velocity = 50.0
+            bench.step(bench.observer.position + 0.2 if seen else None)
+        bench.observer.velocity = 50.0
+        bench.motion.stop(2000.0)
+        speeds.append(bench.motion.law.speed_reference)
+    assert speeds[0] > 55.0
+    assert speeds[1] == pytest.approx(50.0)
 
 
 def test_an_axis_of_which_nothing_has_been_shown_does_not_stand() -> None:

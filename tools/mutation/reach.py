@@ -64,11 +64,14 @@ class _Telling(ast.NodeTransformer):
 def let_functions_tell(tree: Path) -> None:
     """Rewrite the package of a throw-away copy of the tree, so that each of its functions tells that it was called.
 
-    A tracer of Python's own does without, and makes the tests four times as slow.
+    A tracer of Python's own does without, and makes the tests four times as slow. A process that a test starts has not
+    this plugin: there nobody is told.
     """
     for file in sorted((tree / PACKAGE).rglob("*.py")):
         telling = _Telling(str(file.relative_to(tree))).visit(ast.parse(file.read_text(encoding="utf-8")))
         file.write_text(ast.unparse(ast.fix_missing_locations(telling)), encoding="utf-8")
+    with (tree / PACKAGE / "__init__.py").open("a", encoding="utf-8") as first:
+        first.write(f"\nimport builtins\nvars(builtins).setdefault({_TOLD!r}, len)\n")
 
 
 _calls: set[str] = set()
