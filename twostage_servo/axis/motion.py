@@ -62,12 +62,9 @@ class Motion:
     def __init__(self, design: AxisDesign, drive: DriveReport, resolution: float) -> None:
         self.law = design.build_law()
         self.nominal = design.build_nominal_law()
-        self.blind = False
         self.predicted = 0
-        self.implausible = 0
         self.implausible_distance = 0.0
         self.model_test = design.build_model_test()
-        self.unchanged_effort = 0.0
         self._gap = SampleGap(design)
         self._braking = BrakingEstimate(design)
         self._load = StandingLoad(design)
@@ -79,23 +76,31 @@ class Motion:
         self._tracking = False
         self._missed = 0
         self._path: list[float] = []  # the estimate before the ticks that were missed just now, and after each of them
-        self._skipped = 0  # ticks missed since the last sample that was not from before them
         self._lag_s = 0.0  # how much older than usual this tick's sample is, where it is less than a period
         self._lag_periods = 0  # how much older than usual this tick's sample is
         self._samples_tracked = 0
         self._tracked = 0.0  # the last sample while tracking
         self._ticks_since_tracked = 0
-        self._was_outlier = False  # whether it was not where the model expects it
-        self._speed_of_late = 0.0
         self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
-        self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
         self._resolution = 1.5 * resolution
-        self._shown: float | None = None  # by the encoder, in axis unit
-        self._stands = False  # whether it was the same a sample before
-        self._stands_at: float | None = None  # where the encoder stood still when it was given up
         noise: float = design.noise.measurement_variance**0.5
         self._least_motion = max(self._resolution, _NOISE_DEVIATIONS * noise)
         self._recent: deque[float] = deque(maxlen=design.ticks(design.settings.limits.jam_time_ms) + 1)
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin with nothing seen of a motion."""
+        self.blind = False
+        self.implausible = 0
+        self.unchanged_effort = 0.0
+        self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
+        self._skipped = 0  # ticks missed since the last sample that was not from before them
+        self._shown: float | None = None  # by the encoder, in axis unit
+        self._stands = False  # whether it was the same a sample before
+        self._stands_at: float | None = None  # where the encoder stood still when it was given up
+        self._speed_of_late = 0.0
+        self._was_outlier = False  # whether the last sample while tracking was not where the model expects it
+        self._recent.clear()
 
     def start(self, effort: float = 0.0) -> None:
         """Hold from here on; the observer has been tracking the axis, on which `effort` (effort unit) acts."""
@@ -106,17 +111,8 @@ class Motion:
         self._gap.close()
         self._braking.start(self.law.observer, effort)
         self._load.start()
-        self._skipped = 0
-        self._shown = self._stands_at = None
-        self._stands = False
         self.law.effort_limit = self._limits.effort
-        self._speed_of_late = 0.0
-        self._was_outlier = False
-        self.blind = False
-        self.implausible = 0
-        self.unchanged_effort = 0.0
-        self._unchanged = None
-        self._recent.clear()
+        self._forget()
 
     def set_target(self, target: float, velocity: float) -> None:
         """Take a set-point in axis unit, with a cruise velocity in axis unit/s."""

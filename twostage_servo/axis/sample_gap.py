@@ -37,9 +37,8 @@ class SampleGap:
         self._gain = design.settings.plant.gain
         self._pole = design.settings.plant.pole
         self._least = _CLOSED_SHARE * design.settings.limits.innovation
-        self._open = False
         self._hidden_velocity = 0.0  # by how much the estimate may have been off before the gap, in axis unit/s
-        self.allowance = 0.0
+        self.close()
 
     def close(self) -> None:
         """Forget the gap: the estimate begins afresh."""

@@ -138,18 +138,13 @@ class TwoStageLaw:
         position = self.observer.position
         self.stage = Stage.POSITION
         self.target = position
-        self.cruise_velocity = 0.0
-        self.speed_reference = 0.0
-        self.effort = 0.0
-        self.saturated = False
+        self.cruise_velocity = self.speed_reference = 0.0
+        self.effort = self._sum = self._friction = 0.0
+        self.saturated = self._braking = False
         self._ramp = self._ramp_limit
-        self._sum = 0.0
         self._offset = -position
-        self._braking = False
-        self._ending_share = 1.0
-        self._friction = 0.0
+        self._ending_share = self._direction = 1.0
         self._ticks_at_rest = 0
-        self._direction = 1.0
 
     @property
     def velocity(self) -> float:
@@ -351,7 +346,6 @@ class TwoStageLaw:
         self._offset = -self.observer.position
         self._sum = effort + self._f12 * self.observer.velocity
         self.stage = Stage.POSITION
-        self._braking = False
         self.speed_reference = 0.0
         self.changeovers += 1
 
