@@ -65,11 +65,11 @@ class Machine:
         self,
         design: AxisDesign,
         counter_modulus: int,
-        position_period: float = 0.0,
-        resolution: float = 0.0,
+        position_period: float,
+        resolution: float,
         *,
-        heartbeat: bool = False,
-        tells_enabled: bool = True,
+        heartbeat: bool,
+        tells_enabled: bool,
     ) -> None:
         self.design = design
         self.settings = design.settings
