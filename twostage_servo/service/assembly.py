@@ -228,7 +228,7 @@ def cyclic_frames(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: f
     to come three times in its time-out. The index message is left out: it comes in homing alone.
     """
     command = profile.encode_command(0.0, enable=False, counter=0)
-    feedback = profile.encode_feedback(Feedback(0.0, 0, False, False, 0, False, False, False, False, False))
+    feedback = profile.encode_feedback(Feedback(0.0, None, None, None, None))
     frames = [
         CyclicFrame("command", len(command), profile.command_id.extended, tick_s),
         CyclicFrame("feedback", len(feedback), profile.feedback_id.extended, tick_s),
