@@ -247,8 +247,8 @@ def test_when_the_client_that_commands_has_gone(policy: str, state: State) -> No
     if state is State.JOGGING:
         assert axis.told == [("stop", "one has gone, who held the jog")]
     elif state in COMMANDED and policy != "continue":
-        reason = "one has gone, who commanded the move (service.holder_lost is stop)"
-        assert axis.told == [("stop", reason) if policy == "stop" else ("disarm",)]
+        reason = f"one has gone, who commanded the move (service.holder_lost is {policy})"
+        assert axis.told == [(policy, reason)]
         event = "the lease's holder has gone"
         assert logs == [{"event": event, "log_level": "warning", "axis": "y", "client": "one", "policy": policy}]
     else:
