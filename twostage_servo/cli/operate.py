@@ -177,8 +177,9 @@ def _jog(options: argparse.Namespace) -> ExitCode:
         raise CommandError(ExitCode.USAGE, "usage", f"--seconds {options.seconds}: from 0 to 1e6 s are possible")
     try:
         with _connect(options) as client:
-            _renew_jog(client, options)
-            return _finish(options, _wait_while(client, _BRAKING))
+            is_whole = _renew_jog(client, options)
+            code = _finish(options, _wait_while(client, _BRAKING))
+            return code if is_whole else ExitCode.FAILED
     except KeyboardInterrupt:
         note("")
     # A connection of its own: Ctrl-C may have come between a request and its answer.
@@ -188,27 +189,39 @@ def _jog(options: argparse.Namespace) -> ExitCode:
         return _finish(options, _wait_while(client, _BRAKING))
 
 
-def _renew_jog(client: "Client", options: argparse.Namespace) -> None:
+def _renew_jog(client: "Client", options: argparse.Namespace) -> bool:
+    """Ask for a jog until its time is over; return whether it was, or the limit reached, and nothing else ended it."""
     import time
 
     progress = Progress(quiet=options.json)
     answer = client.request(op="jog", velocity=options.velocity)
     number = answer["move"]["number"]
+    is_over = False
     end_s = math.inf if options.seconds is None else time.monotonic() + options.seconds
     try:
-        while answer["move"]["number"] == number and answer["move"]["outcome"] == "moving":
+        while _is_moving(answer, number):
             progress.show(line_of(answer))
-            if (left_s := end_s - time.monotonic()) <= 0.0:
+            if is_over := (left_s := end_s - time.monotonic()) <= 0.0:
                 break
             time.sleep(min(_JOG_INTERVAL_S, left_s))
             # Looks before it asks again: a jog that a limit or another client has ended is not begun anew.
             answer = client.request(op="status")
-            if answer["axis"]["state"] == "jogging":
+            if answer["axis"]["state"] == "jogging" and _is_moving(answer, number):
                 answer = client.request(op="jog", velocity=options.velocity)
     finally:
         progress.end()
-    if answer["axis"]["state"] == "jogging":
+    if answer["axis"]["state"] == "jogging" and _is_latest(answer, number):
         client.request(op="stop")
+    return is_over or (_is_latest(answer, number) and answer["move"]["outcome"] == "reached")
+
+
+def _is_latest(answer: "Answer", number: int) -> bool:
+    """Whether a move is still the one that is told of: another one, or arming anew, ends that."""
+    return answer["move"] is not None and answer["move"]["number"] == number
+
+
+def _is_moving(answer: "Answer", number: int) -> bool:
+    return _is_latest(answer, number) and answer["move"]["outcome"] == "moving"
 
 
 def _home(options: argparse.Namespace) -> ExitCode:
