@@ -8,6 +8,9 @@ import pytest
 from tests.service.rig import World, simulate
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
+from twostage_servo.canbus.compiler import dbc_digest
+from twostage_servo.canbus.profile import DriveProfile, ProtocolError
+from twostage_servo.canbus.protocol import ProtocolSettings
 from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.config import ConfigError, load
 from twostage_servo.machine import Machine
@@ -164,6 +167,33 @@ def test_a_file_that_is_wrong_or_changes_too_much_is_told_with_line_and_key(
     lines: list[int] = []
     simulate(script)
     assert key.rpartition(".")[2] in file.read_text(encoding="utf-8").split("\n")[lines[0] - 1]
+
+
+def test_a_dbc_file_that_has_changed_since_the_start_is_told_and_not_passed_over(file: Path) -> None:
+    """Its frames were compiled at the start: `reload` said that all was done, and the axis went on at the old scale."""
+
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        axis, reload = world.axis, reloading(world, file)
+        world.station.profile.dbc_digest = "of another content"
+        with pytest.raises(ConfigError, match="the content of the DBC file has changed: only a restart") as error:
+            reload()
+        assert error.value.problems[0].key == "protocol.dbc"
+        assert world.axis is axis
+
+    simulate(script)
+
+
+def test_the_content_of_a_dbc_file_is_known_by_its_digest(tmp_path: Path) -> None:
+    dbc = tmp_path / "my.dbc"
+    shipped = shipped_configuration("servo_drive.dbc").read_bytes()
+    dbc.write_bytes(shipped)
+    profile = DriveProfile.compile(ProtocolSettings(dbc="my.dbc"), tmp_path, "mm")
+    assert profile.dbc_digest == dbc_digest("my.dbc", tmp_path) == dbc_digest("", tmp_path)
+    dbc.write_bytes(shipped.replace(b"(0.001,0)", b"(0.01,0)", 1))
+    assert profile.dbc_digest != dbc_digest("my.dbc", tmp_path)
+    with pytest.raises(ProtocolError, match="there is no such file"):
+        dbc_digest("gone.dbc", tmp_path)
 
 
 def test_settings_that_stand_in_no_file_cannot_be_read_again() -> None:

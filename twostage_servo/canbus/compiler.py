@@ -1,6 +1,7 @@
 """From the names in the protocol settings to the compiled messages and signals of the DBC."""
 
 import functools
+import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.resources import files
@@ -60,6 +61,8 @@ class Compiler:
     ----------
     sampling : str
         When the drive samples its position, see :class:`FeedbackSettings`.
+    dbc_digest : str
+        Digest of the DBC file's content, by which another content is known.
 
     Raises
     ------
@@ -71,7 +74,7 @@ class Compiler:
         self._fd = fd
         self.sampling = settings.feedback.sampling
         self._settings = settings
-        self._database, self._source = _load(settings.dbc, folder)
+        self._database, self._source, self.dbc_digest = _load(settings.dbc, folder)
         tables = ("feedback", "command") if settings.index.message is False else ("feedback", "command", "index")
         named = [table for table in tables if getattr(settings, table).checksum is not False]
         if settings.checksum == "none" and named:
@@ -207,14 +210,41 @@ class Compiler:
         return shifted
 
 
-def _load(dbc: str, folder: Path) -> tuple[Database, str]:
-    shipped = files("twostage_servo_config") / "servo_drive.dbc"
-    path = folder / dbc if dbc else shipped
+def _load(dbc: str, folder: Path) -> tuple[Database, str, str]:
+    path = _dbc_path(dbc, folder)
     try:
-        database = _parse(_read(path))
+        content = _read(path)
+        database = _parse(content)
     except Exception as error:  # the parser, too, raises of its own
-        raise ProtocolError(("protocol", "dbc"), f"cannot read the DBC file {path}: {error}") from error
-    return database, str(path)
+        raise _unreadable(path, error) from error
+    return database, str(path), _digest(content)
+
+
+def dbc_digest(dbc: str, folder: Path) -> str:
+    """Return the digest of the DBC file that settings name, as it is on the disk now.
+
+    Raises
+    ------
+    ProtocolError
+        If it cannot be read.
+    """
+    path = _dbc_path(dbc, folder)
+    try:
+        return _digest(_read(path))
+    except (OSError, ValueError) as error:
+        raise _unreadable(path, error) from error
+
+
+def _dbc_path(dbc: str, folder: Path) -> Path | Traversable:
+    return folder / dbc if dbc else files("twostage_servo_config") / "servo_drive.dbc"
+
+
+def _unreadable(path: Path | Traversable, error: Exception) -> ProtocolError:
+    return ProtocolError(("protocol", "dbc"), f"cannot read the DBC file {path}: {error}")
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 @functools.lru_cache(maxsize=8)

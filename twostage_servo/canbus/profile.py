@@ -129,6 +129,8 @@ class DriveProfile:
         Number of values of the alive counter of feedback, command and index; 1 when there is none.
     boot_counter_modulus : int
         Number of values of the boot counter; 1 when there is none.
+    dbc_digest : str
+        Digest of the content of the DBC file from which it was compiled.
     fault_texts, state_texts : mapping of int to str
         Value tables of fault code and state; empty where the DBC has none.
     """
@@ -161,6 +163,7 @@ class DriveProfile:
         self.position_unit = position.unit
         self.position_period = position.period
         self.sampling = compiler.sampling
+        self.dbc_digest = compiler.dbc_digest
         self.counter_modulus = int(feedback["counter"].maximum) + 1
         self.command_counter_modulus = int(command["counter"].maximum) + 1
         self.index_counter_modulus = int(index["counter"].maximum) + 1

@@ -11,6 +11,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.detection import check_detection
 from twostage_servo.canbus.bus_load import CyclicFrame, bus_load
+from twostage_servo.canbus.compiler import dbc_digest
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.canbus.profile import DriveProfile, Feedback, Heartbeat, ProtocolError
 from twostage_servo.config import Config, LoadedConfig
@@ -39,6 +40,7 @@ class DriveFrames(NamedTuple):
     heartbeat_id: "Identifier | None"
     effort_limit: float
     effort_unit: str
+    dbc_digest: str
 
     @classmethod
     def of(cls, profile: DriveProfile) -> "DriveFrames":
@@ -302,6 +304,12 @@ def _reread_axis(
             raise fresh.problem((table,), f"[{table}] {_RESTART}")
     if fresh.config.axis.unit != running.config.axis.unit:  # the frames were compiled for it
         raise fresh.problem(("axis", "unit"), f"the unit {_RESTART}")
+    try:
+        digest = dbc_digest(fresh.config.protocol.dbc, fresh.folder)
+    except ProtocolError as error:
+        raise fresh.problem(error.key, str(error)) from error
+    if digest != frames.dbc_digest:
+        raise fresh.problem(("protocol", "dbc"), f"the content of the DBC file {_RESTART}")
     _check_effort(fresh, frames)
     return build_axis(fresh, frames, tick_s)
 
