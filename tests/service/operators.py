@@ -74,8 +74,8 @@ def serve(path: Path, script: Callable[[World, ControlSocket], Awaitable[None]],
     simulate(main, *overrides)
 
 
-async def connect(path: Path) -> Operator:
-    operator = Operator(*await asyncio.open_unix_connection(str(path)))
+async def connect(path: Path, limit: int = 1 << 16) -> Operator:
+    operator = Operator(*await asyncio.open_unix_connection(str(path), limit=limit))
     _operators.append(operator)
     return operator
 

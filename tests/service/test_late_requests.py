@@ -5,6 +5,7 @@ import contextlib
 import json
 import socket
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -161,6 +162,49 @@ def test_a_command_that_waited_for_less_is_carried_out(path: Path, callers: cont
         await world.seconds(0.5)
         assert said(caller)[0]["ok"]
         assert world.state() is State.HOLDING
+
+    serve(path, script)
+
+
+async def prepared_slowly() -> Callable[[], None]:
+    """Read a configuration again, which takes its time."""
+    await asyncio.sleep(5.0)
+    return lambda: None
+
+
+def test_a_command_after_a_reload_is_not_as_old_as_the_reload(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        world.service.desk.prepare = prepared_slowly
+        operator = await connect(path)
+        await operator.done(op="reload")
+        await operator.done(op="arm")
+
+    serve(path, script)
+
+
+def test_a_command_behind_a_reload_has_waited_for_it(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        world.service.desk.prepare = prepared_slowly
+        operator = await connect(path)
+        operator.writer.write(b'{"op": "reload"}\n{"op": "arm"}\n')
+        assert (await operator.answer())["ok"]
+        assert (await operator.answer())["error"]["code"] == "expired"
+
+    serve(path, script)
+
+
+def test_a_command_after_an_answer_that_was_read_slowly_is_not_as_old_as_that(path: Path) -> None:
+    async def script(world: World, _: ControlSocket) -> None:
+        await world.seconds(2.0)  # so that there is much to tell
+        operator = await connect(path, limit=1 << 22)
+        operator.writer.write(b'{"op": "recording"}\n' * 20)
+        transport = operator.writer.transport
+        transport.pause_reading()  # type: ignore[attr-defined]
+        await world.seconds(3.0)
+        transport.resume_reading()  # type: ignore[attr-defined]
+        for _ in range(20):
+            await operator.answer()
+        await operator.done(op="arm")
 
     serve(path, script)
 

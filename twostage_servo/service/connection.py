@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 _CREDENTIALS: Final = struct.Struct("3i")  # ucred of unix(7): process, user, group
 _DISCARDED: Final = 4
 """Reads of 64 KiB that are thrown away at the end: with unread data the kernel would take back what was said last."""
+_LOOKS_SHARE: Final = 0.1
+"""Share of the age at which a command expires, after which it is worth a look whether there is nothing to be read."""
 _CLOSED: Final = "this side has closed the connection"
 
 
@@ -154,6 +156,22 @@ class Connection:
         self.ended = not data
         for future in self._readers:  # where it was not they who read
             wake(future)
+
+    def look(self) -> None:
+        """Note that there is nothing to be read, if so; for in the middle of an answer, when nobody waits for more.
+
+        An answer may take long, and a client that has had it asks for the next thing at once: that has not waited for
+        as long as the answer took.
+        """
+        now_s = self._age.now_s()
+        if now_s - self._empty_s < _LOOKS_SHARE * self._age.longest_s or self.closed or self._broken:
+            return
+        try:
+            self._stream.recv(1, socket.MSG_PEEK)
+        except BlockingIOError:
+            self._empty_s = now_s
+        except OSError:
+            return  # which shows when it is read
 
     async def readable(self) -> None:
         """Wait until there is something to read, or the end.

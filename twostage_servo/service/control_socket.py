@@ -413,6 +413,7 @@ class ControlSocket:
         """Carry a request out and answer it, in a turn for each piece of work: a tick may come between."""
         is_more = connection.busy = True
         refused = await self._handler.prepare(request, connection)
+        connection.look()
         pieces: Iterator[bytes] | None = None if refused is None else refused.pieces
         while is_more:
             async with self._turns.turn(rank_of(request)):
@@ -425,6 +426,7 @@ class ControlSocket:
                         self._watchers.begin(connection, request.every, request.axis)
                 is_more = self._send_some(connection, pieces)
             await connection.taken()
+            connection.look()
             await asyncio.sleep(0)
         connection.busy = False
 

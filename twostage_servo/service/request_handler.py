@@ -118,7 +118,7 @@ class RequestHandler:
         if age_s > self._age.longest_s and not isinstance(request, _NEVER_TOO_LATE):
             raise Refused(
                 "expired",
-                f"this {request.op} may have waited for {age_s:.1f} s, since the service was held up, and "
+                f"this {request.op} may have waited for {age_s:.1f} s before its turn came, and "
                 f"{self._age.longest_s:g} s are the most: look at the axis, and ask again.",
             )
 
