@@ -202,7 +202,7 @@ def test_a_command_after_an_answer_that_was_read_slowly_is_not_as_old_as_that(pa
         transport.pause_reading()  # type: ignore[attr-defined]
         await world.seconds(3.0)
         transport.resume_reading()  # type: ignore[attr-defined]
-        for _ in range(20):
+        for _number in range(20):
             await operator.answer()
         await operator.done(op="arm")
 
