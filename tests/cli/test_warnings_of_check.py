@@ -123,3 +123,19 @@ def test_no_limit_can_be_taken_to_its_bound_in_silence(capsys: pytest.CaptureFix
         assert f"axis.limits.{name}" in [warning["key"] for warning in told["warnings"]]
     else:
         assert code == 2
+
+
+@pytest.mark.parametrize(("stated_ms", "is_warned"), [(800.0, True), (5571.0, True), (5573.0, False), (None, False)])
+def test_a_time_to_brake_in_which_the_axis_does_not_come_to_rest_is_warned_of(
+    capsys: pytest.CaptureFixture[str], stated_ms: float | None, is_warned: bool
+) -> None:
+    stated = [] if stated_ms is None else [f"service.shutdown_timeout_ms={stated_ms}"]
+    code, told = check(capsys, *stated, config="metres.toml")
+    keys = [(warning["key"], warning["value"]) for warning in told["warnings"]]
+    assert (code, keys) == (0, [("service.shutdown_timeout_ms", stated_ms)] if is_warned else [])
+    if is_warned:
+        (warning,) = told["warnings"]
+        assert "axis gantry takes 5572 ms to stop from 1 m/s, and its drive is disabled before" in warning["disables"]
+        assert warning["do"] == "remove it, or state 5572 at least"
+    elif stated_ms is None:
+        assert told["longest_end_s"] == pytest.approx(12.5 + 2.0 * 5.572, abs=0.01)

@@ -6,6 +6,7 @@ from typing import Any
 
 import can
 import pytest
+import structlog
 
 from tests.service.rig import World, simulate
 from twostage_servo.axis.messages import Refused
@@ -13,7 +14,10 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import LinkError
 from twostage_servo.canbus.profile import Command
+from twostage_servo.config import load
+from twostage_servo.service.assembly import build_axis, put_axes_in
 from twostage_servo.service.requests import ArmRequest, MoveRequest, StatusRequest
+from twostage_servo.service.settings import stop_ms
 
 
 def test_a_move_over_can_frames() -> None:
@@ -86,7 +90,7 @@ def test_shut_down_in_mid_move_ramps_and_disables() -> None:
     assert max(steps) <= 1000.0 * 0.01 + 0.001  # axis.limits.effort_rate, and a quantum
 
 
-@pytest.mark.parametrize("acceleration", [2000.0, 150.0], ids=["at rest by then", "braking for longer"])
+@pytest.mark.parametrize("acceleration", [2000.0, 150.0], ids=["nearly at rest by then", "braking for longer"])
 def test_shut_down_ends_in_time_even_if_the_axis_does_not_come_to_rest(acceleration: float) -> None:
     async def script(world: World) -> None:
         await world.cruising()
@@ -94,7 +98,41 @@ def test_shut_down_ends_in_time_even_if_the_axis_does_not_come_to_rest(accelerat
         await asyncio.wait_for(world.serving, 0.2)
         assert world.state() is State.DISARMED
 
-    simulate(script, "service.shutdown_timeout_ms=100", f"axis.limits.acceleration={acceleration}")
+    with structlog.testing.capture_logs() as logs:
+        simulate(script, "service.shutdown_timeout_ms=100", f"axis.limits.acceleration={acceleration}")
+    told = [(one["axis"], one["velocity"] > 50.0) for one in logs if "disabled while the axis moves" in one["event"]]
+    assert told == [("x", acceleration != 2000.0)]
+
+
+@pytest.mark.parametrize("acceleration", [2000.0, 60.0, 20.0])
+def test_an_axis_that_brakes_for_seconds_comes_to_rest_before_its_drive_is_disabled(acceleration: float) -> None:
+    """It was disabled after 800 ms, wherever the file did not say otherwise, and coasted: 0.8 m of the gantry."""
+
+    async def script(world: World) -> list[tuple[float, bool]]:
+        await world.cruising(velocity=90.0)
+        await world.seconds(1.0)
+        seen = []
+        world.service.shut_down()
+        while not world.serving.done():
+            seen.append((world.drive.velocity, world.drive.enabled))
+            await world.seconds(0.01)
+        return seen
+
+    seen = simulate(script, f"axis.limits.acceleration={acceleration}", "axis.cruise_velocity=90")
+    assert max(abs(velocity) for velocity, enabled in seen if not enabled) < 1.0
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_after_a_reload_the_end_waits_for_what_the_axes_take_by_then(stated: bool) -> None:
+    async def script(world: World) -> None:
+        service = world.service
+        before = service.settings.shutdown_timeout_ms
+        slow = load(None, ["axis.limits.acceleration=20"])
+        put_axes_in(service, [build_axis(slow, world.station.profile, service.ticks.period_s)])
+        assert (service.settings.shutdown_timeout_ms > 10.0 * before) is not stated
+        assert service.settings.shutdown_timeout_ms == (before if stated else 2.0 * stop_ms(world.axis.design))
+
+    simulate(script, *["service.shutdown_timeout_ms=900"] * stated)
 
 
 def test_a_service_that_stops_sending_is_stopped_by_the_drive() -> None:

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
     from twostage_servo.axis.design import AxisDesign
     from twostage_servo.config import Config, LoadedConfig
+    from twostage_servo.config_problems import Problem
+    from twostage_servo.machine import Machine
     from twostage_servo.service.station import Station
 
 _UNIT_WAITS_S = 15.0
@@ -65,8 +67,10 @@ def _check(options: argparse.Namespace) -> ExitCode:
     machine = load_machine(options)
     with configuration_problems():
         service = build_service(machine)
-    summaries = [_summary(loaded, station) for loaded, station in zip(machine.axes, service.stations, strict=True)]
-    ends_within_s = longest_end_s(machine.service, (loaded.config.axis.arming_timeout_ms for loaded in machine.axes))
+    summaries = [
+        _summary(machine, loaded, station) for loaded, station in zip(machine.axes, service.stations, strict=True)
+    ]
+    ends_within_s = longest_end_s(service.settings, (loaded.config.axis.arming_timeout_ms for loaded in machine.axes))
     if options.json:
         several = {"axes": summaries} if len(summaries) > 1 else summaries[0]
         print_json({"config": machine.source, "valid": True, "longest_end_s": ends_within_s, **several})
@@ -74,13 +78,13 @@ def _check(options: argparse.Namespace) -> ExitCode:
         print_line(f"{machine.source}: valid. " + "\n".join(map(_sentence, summaries)))
         if ends_within_s > _UNIT_WAITS_S:
             print_line(
-                f"With service.shutdown_timeout_ms the service may take {ends_within_s:g} s to end. It asks systemd "
-                "for that; whatever else manages it has to wait as long before it kills it."
+                f"With its time to brake (service.shutdown_timeout_ms) the service may take {ends_within_s:.3g} s to "
+                "end. It asks systemd for that; whatever else manages it has to wait as long before it kills it."
             )
     return ExitCode.DONE
 
 
-def _summary(loaded: "LoadedConfig[Config]", station: "Station") -> dict[str, Any]:
+def _summary(machine: "Machine", loaded: "LoadedConfig[Config]", station: "Station") -> dict[str, Any]:
     config, profile, axis = loaded.config, station.profile, station.axis
     return {
         "axis": config.axis.name,
@@ -96,7 +100,7 @@ def _summary(loaded: "LoadedConfig[Config]", station: "Station") -> dict[str, An
         "cruise_velocity": config.axis.cruise_velocity,
         "detection": _detection(axis.design),
         "notes": list(_notes(config, axis.design.period_s)),
-        "warnings": list(_warnings(loaded, station)),
+        "warnings": [*_warnings(loaded, station), *_warnings_of_the_end(machine, station)],
     }
 
 
@@ -107,14 +111,28 @@ def _warnings(loaded: "LoadedConfig[Config]", station: "Station") -> "Iterator[d
     profile = station.profile
     for weak in weak_limits(station.axis.design, profile.position_quantum, heartbeat=profile.heartbeat_id is not None):
         (place,) = loaded.problem(("axis", *weak.key), weak.disables).problems
-        yield {
-            "file": place.file,
-            "line": place.line,
-            "key": place.key,
-            "value": weak.value,
-            "disables": weak.disables,
-            "do": weak.do,
-        }
+        yield _warning(place, weak.value, weak.disables, weak.do)
+
+
+def _warnings_of_the_end(machine: "Machine", station: "Station") -> "Iterator[dict[str, Any]]":
+    """Yield the shut-down time-out, where the file states one in which the axis does not come to rest."""
+    from twostage_servo.service.settings import stop_ms
+
+    settings, axis = machine.service, station.axis
+    needed_ms, speed = stop_ms(axis.design), axis.settings.limits.velocity
+    if "shutdown_timeout_ms" in settings.model_fields_set and settings.shutdown_timeout_ms < needed_ms:
+        (place,) = machine.problem(("service", "shutdown_timeout_ms"), "").problems
+        disables = (
+            f"the braking at the end of the service: axis {station.name} takes {needed_ms:.0f} ms to stop from "
+            f"{speed:g} {axis.settings.unit}/s, and its drive is disabled before, so that it coasts"
+        )
+        yield _warning(place, settings.shutdown_timeout_ms, disables, f"remove it, or state {needed_ms:.0f} at least")
+
+
+def _warning(place: "Problem", value: float, disables: str, do: str) -> dict[str, Any]:
+    return {
+        "file": place.file, "line": place.line, "key": place.key, "value": value, "disables": disables, "do": do,
+    }  # fmt: skip
 
 
 def _detection(design: "AxisDesign") -> dict[str, Any]:

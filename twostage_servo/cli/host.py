@@ -1,6 +1,7 @@
 """The verbs about the host: `latency` measures how punctual it is, `doctor` looks for what stands in the way."""
 
 import argparse
+import contextlib
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -9,9 +10,10 @@ from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, not
 from twostage_servo.cli.typed_numbers import decimal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
+    from twostage_servo.axis.design import AxisDesign
     from twostage_servo.config import Config, LoadedConfig
     from twostage_servo.host.findings import Finding, Host
     from twostage_servo.host.latency import Measurement, Verdict
@@ -208,6 +210,16 @@ def _doctor(options: argparse.Namespace) -> ExitCode:
     return ExitCode.FAILED if failed else ExitCode.DONE
 
 
+def _designs(machine: "Machine") -> "Iterator[AxisDesign]":
+    """Yield the design of each axis that can be designed; what is wrong with another is for `check` to say."""
+    from twostage_servo.config import ConfigError
+    from twostage_servo.service.assembly import design
+
+    for loaded in machine.axes:
+        with contextlib.suppress(ConfigError):
+            yield design(loaded, machine.service.tick_ms / 1e3)
+
+
 def examine(machine: "Machine", host: "Host") -> "list[Finding]":
     """Carry out every check for a configuration.
 
@@ -227,17 +239,17 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
     from twostage_servo.host.machine_checks import check_machine
     from twostage_servo.host.service_manager import service_manager_finding
     from twostage_servo.service.assembly import socket_path
-    from twostage_servo.service.settings import longest_end_s
+    from twostage_servo.service.settings import longest_end_s, with_time_to_stop
     from twostage_servo.service.trip_files import default_folder
 
     trips = Path(machine.service.trip_folder or default_folder()).absolute()
+    service = with_time_to_stop(machine.service, _designs(machine))
+    arming_times = (loaded.config.axis.arming_timeout_ms for loaded in machine.axes)
     findings = [
         *check_machine(host, machine.realtime, Kernel(host.proc)),
         _socket_finding(socket_path(machine.service)),
         folder_finding("trip files", trips, "service.trip_folder"),
-        service_manager_finding(
-            host, longest_end_s(machine.service, (loaded.config.axis.arming_timeout_ms for loaded in machine.axes))
-        ),
+        service_manager_finding(host, longest_end_s(service, arming_times)),
     ]
     buses: dict[tuple[str, str | int], list[LoadedConfig[Config]]] = {}
     for loaded in machine.axes:

@@ -264,6 +264,7 @@ def put_axes_in(service: ServoService, axes: Sequence[Axis]) -> None:
     for station, axis in zip(service.stations, axes, strict=True):
         axis.take_over(station.axis)
         station.axis = axis
+    service.allow_for_stops()
 
 
 def prepare_axes(frames: dict[str, DriveFrames], running: Machine, fresh: Machine, tick_s: float) -> list[Axis]:

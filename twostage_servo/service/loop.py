@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from twostage_servo.axis.state import ENABLED
+from twostage_servo.axis.state import BRAKING, ENABLED
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.desk import Desk
 from twostage_servo.service.group import Group, GroupReaction
 from twostage_servo.service.port import Port
 from twostage_servo.service.requests import Request
-from twostage_servo.service.settings import ServiceSettings
+from twostage_servo.service.settings import ServiceSettings, with_time_to_stop
 from twostage_servo.service.snapshot import report_service
 from twostage_servo.service.station import Station
 from twostage_servo.service.statistics import TickStatistics
@@ -44,6 +44,8 @@ class ServoService:
 
     Attributes
     ----------
+    settings
+        As given, with the time that the axes take to stop where no `shutdown_timeout_ms` is stated.
     stations
         The axes, in the order of their names' appearance.
     desk
@@ -71,7 +73,7 @@ class ServoService:
     def __init__(
         self, settings: ServiceSettings, ports: Sequence[Port], group_reaction: GroupReaction = "stop"
     ) -> None:
-        self.settings = settings
+        self.settings = self._stated = settings
         self.ports = ports
         self.stations = [station for port in ports for station in port.stations]
         self.ticks = Ticks(settings.tick_ms / 1e3)
@@ -92,6 +94,11 @@ class ServoService:
         self._log = structlog.get_logger()
         for station in self.stations:
             station.reporter.snapshot = functools.partial(self.snapshot, station.name)
+        self.allow_for_stops()
+
+    def allow_for_stops(self) -> None:
+        """Take notice of how long the axes need to stop; for when they have other settings."""
+        self.settings = with_time_to_stop(self._stated, (station.axis.design for station in self.stations))
 
     async def run(self) -> None:
         """Run until :meth:`shut_down` has brought the axes to rest; the drives are disabled on every way out.
@@ -246,9 +253,21 @@ class ServoService:
     def _end_braking(self, ticks_left: int) -> None:
         self._ending_ticks = ticks_left - 1
         for station in self.stations:
-            station.axis.disarm()
-            if self._ending_ticks <= 0:
-                station.axis.end_braking()
+            axis = station.axis
+            axis.disarm()
+            if self._ending_ticks <= 0 and axis.state in BRAKING:
+                self._tell_if_it_coasts(station)
+                axis.end_braking()
+
+    def _tell_if_it_coasts(self, station: Station) -> None:
+        velocity = station.axis.law.observer.velocity
+        if abs(velocity) > station.axis.design.rest_velocity:
+            self._log.error(
+                "the drive is disabled while the axis moves: the time to brake at the end of the service is over",
+                axis=station.name,
+                velocity=velocity,
+                shutdown_timeout_ms=self.settings.shutdown_timeout_ms,
+            )
 
     def _end_at_rest(self) -> None:
         if self._ending_ticks is not None and all(station.axis.state not in ENABLED for station in self.stations):

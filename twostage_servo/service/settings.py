@@ -1,11 +1,14 @@
 """The table ``[service]``."""
 
 from collections.abc import Iterable
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from pydantic import Field
 
 from twostage_servo.settings import Settings, quantity
+
+if TYPE_CHECKING:
+    from twostage_servo.axis.design import AxisDesign
 
 
 class ServiceSettings(Settings):
@@ -37,14 +40,35 @@ class ServiceSettings(Settings):
     shutdown_timeout_ms: float = quantity(
         800.0,
         unit="ms",
-        description="Longest braking when the service is asked to end; the drive is disabled then at the latest",
+        description="Longest braking when the service is asked to end; the drive is disabled then at the latest. "
+        "Absent: more, where the axes' stops need it",
         ge=0.0,
         le=60_000.0,
     )
 
 
+_PATIENCE: Final = 2.0
+"""How many times its designed duration a stop may take; by then it has failed in any case (trip `braking_failed`)."""
+_LONGEST_MS: Final = 60_000.0
 _AFTER_BRAKING_S: Final = 12.0
 """An opening of a bus that is under way is waited for, and a trip file; and the log is written."""
+
+
+def stop_ms(design: "AxisDesign") -> float:
+    """Return how long an axis takes to stop from its largest velocity, in ms."""
+    limits = design.settings.limits
+    return 1e3 * design.stopping_time_s(limits.velocity, limits.acceleration)
+
+
+def with_time_to_stop(settings: ServiceSettings, designs: "Iterable[AxisDesign]") -> ServiceSettings:
+    """Return settings with which every axis has the time to come to rest as the service ends, where none is stated.
+
+    A heavy axis brakes for seconds. One whose drive is disabled before coasts on, and nothing brakes it.
+    """
+    if "shutdown_timeout_ms" in settings.model_fields_set:
+        return settings
+    longest_ms = min(_LONGEST_MS, _PATIENCE * max(map(stop_ms, designs), default=0.0))
+    return settings.model_copy(update={"shutdown_timeout_ms": max(settings.shutdown_timeout_ms, longest_ms)})
 
 
 def longest_end_s(settings: ServiceSettings, arming_timeouts_ms: Iterable[float]) -> float:
