@@ -147,7 +147,7 @@ def test_where_some_axes_can_stop_only_these_are_told_to() -> None:
     assert service.told() == {"y": [("stop", ("quick", False))]}
     service.axes["y"].can_stop = False
     service.axes["x"].refuses = {"stop"}
-    assert service.refusal(op="stop") == ("no", "x refuses stop")
+    assert service.refusal(op="stop") == ("no", "axis x: x refuses stop")
 
 
 def test_where_some_axes_have_tripped_only_these_are_reset() -> None:
@@ -162,7 +162,7 @@ def test_where_some_axes_have_tripped_only_these_are_reset() -> None:
 def test_what_one_axis_refuses_none_does(op: str, check: str) -> None:
     service = Service()
     service.axes["y"].refuses = {check}
-    assert service.refusal(op=op) == ("no", f"y refuses {check}")
+    assert service.refusal(op=op) == ("no", f"axis y: y refuses {check}")
     assert service.told() == {"x": [(check,)]}
     assert service.discarded == []
 
@@ -170,7 +170,7 @@ def test_what_one_axis_refuses_none_does(op: str, check: str) -> None:
 def test_no_axis_is_armed_whose_bus_is_closed() -> None:
     service = Service()
     service.stations[1].port.error = "no carrier"
-    assert service.refusal(op="arm") == ("bus_closed", "the bus is not open: no carrier")
+    assert service.refusal(op="arm") == ("bus_closed", "axis y: the bus is not open: no carrier")
     assert service.told() == {"x": [("check_arming",)]}
 
 

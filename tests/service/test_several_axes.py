@@ -193,6 +193,31 @@ def test_a_move_of_several_axes_is_carried_out_whole_or_not_at_all(two_on_one_bu
     operate(two_on_one_bus, script)
 
 
+@pytest.mark.parametrize(
+    ("request_", "code", "says"),
+    [
+        ({"op": "arm"}, "already_armed", "axis y: the axis is armed already"),
+        ({"op": "move", "positions": {"x": 1.0, "y": 1.0}}, "disarmed", "axis x: the axis is disarmed"),
+        ({"op": "move", "axis": "x", "position": 1.0}, "disarmed", "axis x: the axis is disarmed"),
+        ({"op": "move", "positions": {"y": 1e6}}, "position_limit", "axis y: set-point"),
+        ({"op": "jog", "axis": "x", "velocity": 1.0}, "disarmed", "axis x: the axis is disarmed"),
+        ({"op": "home", "axis": "y", "position": 1e6}, "position_limit", "axis y: the axis cannot stand"),
+        ({"op": "stop", "axis": "x"}, "disarmed", "axis x: the axis is disarmed"),
+        ({"op": "reset", "axis": "y"}, "not_tripped", "axis y: the axis is holding"),
+    ],
+)
+def test_a_refusal_names_the_axis(two_on_one_bus: Path, request_: dict[str, Any], code: str, says: str) -> None:
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        plant.axis("x").disarm()
+        await asyncio.sleep(0.1)
+        with pytest.raises(Refused, match=says) as refused:
+            plant.ask(**request_)
+        assert refused.value.code == code
+
+    operate(two_on_one_bus, script)
+
+
 def test_arming_all_is_arming_all_or_none(two_on_one_bus: Path) -> None:
     async def script(plant: Plant) -> None:
         await plant.until(lambda: plant.axis("x").ready_to_arm)

@@ -1,5 +1,6 @@
 """The operators' desk: carries out what clients ask of the axes, one of them at a time."""
 
+import contextlib
 from typing import TYPE_CHECKING, Any
 
 import structlog
@@ -27,7 +28,7 @@ from twostage_servo.service.requests import (
 from twostage_servo.service.together import velocities_to_arrive_together
 
 if TYPE_CHECKING:
-    from collections.abc import Awaitable, Callable, Sequence
+    from collections.abc import Awaitable, Callable, Iterator, Sequence
 
     from twostage_servo.axis.axis import Axis
     from twostage_servo.service.loop import ServoService
@@ -151,10 +152,10 @@ class Desk:
     def _command(self, request: Request, client: str) -> None:
         match request:
             case StopRequest(quick=quick):  # whoever commands, everybody may bring the axes to rest
-                self._stop(self._axes(request), client, quick=quick)
+                self._stop(self._stations(request), client, quick=quick)
             case DisarmRequest():
-                for axis in self._axes(request):
-                    axis.disarm()
+                for station in self._stations(request):
+                    station.axis.disarm()
             case ReleaseRequest():
                 self.lease.release(client)
             case TakeRequest():
@@ -171,17 +172,19 @@ class Desk:
             case ResetRequest():
                 self._reset(self._stations(request))
             case MoveRequest(positions=None):
-                self._move(self.station(request.axis).axis, request)
+                station = self.station(request.axis)
+                with self._named(station):
+                    self._move(station.axis, request)
             case MoveRequest():
                 self._move_together(request)
             case JogRequest(velocity=velocity):
-                self.station(request.axis).axis.jog(velocity)
+                station = self.station(request.axis)
+                with self._named(station):
+                    station.axis.jog(velocity)
             case HomeRequest(position=position):
-                axis = self.station(request.axis).axis
-                if position is None:
-                    axis.home()
-                else:
-                    axis.set_position(position)
+                station = self.station(request.axis)
+                with self._named(station):
+                    station.axis.home() if position is None else station.axis.set_position(position)
             case ReloadRequest():
                 self._reload(client)
 
@@ -190,31 +193,41 @@ class Desk:
     def _stations(self, request: AxisRequest) -> "Sequence[Station]":
         return self._service.stations if request.axis is None else [self.station(request.axis)]
 
-    def _axes(self, request: AxisRequest) -> "list[Axis]":
-        return [station.axis for station in self._stations(request)]
+    @contextlib.contextmanager
+    def _named(self, station: "Station") -> "Iterator[None]":
+        """Let a refusal say which axis it is that refuses, where there are several."""
+        try:
+            yield
+        except Refused as error:
+            if len(self._service.stations) == 1:
+                raise
+            raise Refused(error.code, f"axis {station.name}: {error}") from error
 
     # What is asked of several at once is asked of all of them or of none ---------------------------------------------
 
-    def _stop(self, axes: "list[Axis]", client: str, *, quick: bool) -> None:
-        stoppable = [axis for axis in axes if axis.can_stop]
+    def _stop(self, stations: "Sequence[Station]", client: str, *, quick: bool) -> None:
+        stoppable = [station for station in stations if station.axis.can_stop]
         if self.lease.holder not in {None, client}:
-            for axis in stoppable:
-                axis.bar_jog()
-        for axis in stoppable or axes:  # none can: the first says why
-            axis.stop(quick=quick)
+            for station in stoppable:
+                station.axis.bar_jog()
+        for station in stoppable or stations:  # none can: the first says why
+            with self._named(station):
+                station.axis.stop(quick=quick)
 
     def _arm(self, stations: "Sequence[Station]") -> None:
         for station in stations:
-            if station.port.error is not None:
-                raise Refused("bus_closed", f"the bus is not open: {station.port.error}")
-            station.axis.check_arming()
+            with self._named(station):
+                if station.port.error is not None:
+                    raise Refused("bus_closed", f"the bus is not open: {station.port.error}")
+                station.axis.check_arming()
         for station in stations:
             station.axis.arm()
 
     def _reset(self, stations: "Sequence[Station]") -> None:
         tripped = [station for station in stations if station.axis.trip is not None] or stations
         for station in tripped:
-            station.axis.check_reset()
+            with self._named(station):
+                station.axis.check_reset()
         for station in tripped:
             station.axis.reset()
             station.recorder.discard()
@@ -230,9 +243,11 @@ class Desk:
         assert request.positions is not None  # noqa: S101 - the caller has looked
         moves = []
         for name, position in request.positions.items():
-            axis = self.station(name).axis
+            station = self.station(name)
+            axis = station.axis
             speed = axis.settings.cruise_velocity if request.velocity is None else request.velocity
-            axis.check_move(position, speed)
+            with self._named(station):
+                axis.check_move(position, speed)
             moves.append((axis, position, speed))
         for (axis, position, _), speed in zip(moves, velocities_to_arrive_together(moves), strict=True):
             axis.move_to(position, max(speed, axis.slowest_velocity))  # a short way beside a very long one
