@@ -27,6 +27,20 @@ def test_percentiles_are_those_of_numpy_within_a_bin(values: list[float], percen
     assert histogram.largest_us == pytest.approx(1e6 * max(values))
 
 
+def test_what_is_told_of_times_has_a_tenth_of_a_microsecond() -> None:
+    histogram = TimeHistogram()
+    for number in range(1, 200):
+        histogram.add(1.2345e-6 * number)
+    p50, p90, p99 = histogram.percentiles_us(50.0, 90.0, 99.0)
+    assert histogram.summary() == {
+        "p50": round(p50, 1),
+        "p90": round(p90, 1),
+        "p99": round(p99, 1),
+        "max": round(histogram.largest_us, 1),
+    }
+    assert all(value != round(value, 1) for value in (p50, p90, p99, histogram.largest_us))
+
+
 def test_a_punctual_run_and_an_empty_one_are_zero() -> None:
     histogram = TimeHistogram()
     assert histogram.summary() == {"p50": 0.0, "p90": 0.0, "p99": 0.0, "max": 0.0}

@@ -166,6 +166,25 @@ def test_an_answer_that_cannot_be_made_ends_the_service() -> None:
     at_a_desk(script)
 
 
+def test_a_defect_in_preparing_a_reload_ends_the_service_and_is_told() -> None:
+    async def main(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+
+        async def prepare() -> Callable[[], None]:
+            raise RuntimeError("a defect")
+
+        world.service.desk.prepare = prepare
+        client = Client(arrived_after_s=asyncio.get_running_loop().time())
+        refused = await Desk(world).handler.prepare(parse_request(b'{"op": "reload"}'), client)
+        assert refused is not None
+        error = json.loads(b"".join(refused.pieces))["error"]
+        assert error == {"code": "internal_error", "message": "RuntimeError: a defect; the service is stopping"}
+        assert world.service.is_ending
+        assert [world.service.failed_tick] == [None]  # it was in no tick
+
+    simulate(main)
+
+
 def test_a_reload_is_not_too_late_after_a_long_preparation_that_was_begun_in_time() -> None:
     async def main(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)

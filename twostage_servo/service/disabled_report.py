@@ -25,7 +25,7 @@ class DisabledReport:
 
     def __init__(self, name: str, period_s: float) -> None:
         self._log = structlog.get_logger().bind(axis=name)
-        self._every = max(1, round(REPEATED_AFTER_S / period_s))
+        self._every = round(REPEATED_AFTER_S / period_s)
         self._next: dict[TripCode, int] = {}
         self._moved: float | None = None
         self._next_motion = 0

@@ -181,7 +181,6 @@ def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> 
         ],
         wrapper_class=structlog.make_filtering_bound_logger(least),
         logger_factory=lambda *_: writer,
-        cache_logger_on_first_use=False,
     )
     root, from_can = logging.getLogger(), logging.getLogger("can")
     before = root.handlers[:], root.level, from_can.level

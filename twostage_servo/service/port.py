@@ -64,7 +64,7 @@ class Port:
         self._reads_behind = 0
         self._lacked_carrier = False
         self._next_opening_s = 0.0
-        self._ticks_a_report = max(1, round(1.0 / period_s))
+        self._ticks_a_report = round(1.0 / period_s)
         self._next_report = 0
         self._controller = "active"
         self._log = structlog.get_logger().bind(bus=link.settings.channel)

@@ -63,7 +63,7 @@ class SocketFile:
         """
         prepare_folder(self.path)
         self._take_lock()
-        listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        listener = socket.socket(socket.AF_UNIX)
         try:
             _remove_if_dead(self.path)
             previous = os.umask(0o117)  # owner and group only, from the first moment on
@@ -193,7 +193,7 @@ def _remove_if_dead(path: Path) -> None:
         return
     if not path.is_socket():
         raise SocketInUseError(f"{path} exists and is not a socket; remove it, or set service.socket to another path")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+    with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
             probe.connect(str(path))

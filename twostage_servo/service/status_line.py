@@ -50,7 +50,7 @@ class StatusLine:
         self._shown = ""
         self._missed = 0
         self._missed_lately = 0
-        self._ticks_a_second = max(1, round(1.0 / service.ticks.period_s))
+        self._ticks_a_second = round(1.0 / service.ticks.period_s)
         self._next_count = self._next_look = 0
 
     def publish(self, tick: "Tick") -> None:
