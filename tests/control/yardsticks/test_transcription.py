@@ -1,6 +1,7 @@
 """The law in the paper's matrices: against the product's law, against a third one in plain numbers, and the slips."""
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -373,6 +374,15 @@ def test_erratum_1_the_printed_cost_does_not_see_a_constant_error(
     assert np.linalg.matrix_rank(np.vstack([change, weighed])) == 3  # read as corrected: detectable
     with pytest.raises(UnsolvableError, match="a constant error costs nothing"):
         read_gains(plant.discretise(PERIOD_S), 10.0**exponent, Reading(cost="increment"))
+
+
+def test_with_the_cost_on_the_increment_the_sum_is_not_fed_back_and_its_pole_stays_where_it_is() -> None:
+    with pytest.raises(UnsolvableError) as refused:
+        read_gains(Plant(180.0, 14.0).discretise(PERIOD_S), 5e-5, Reading(cost="increment"))
+    found = re.search(r"f22 = (\S+) and a pole of magnitude (\S+):", str(refused.value))
+    assert found is not None
+    assert float(found[1]) < 1e-6
+    assert float(found[2]) == pytest.approx(1.0, abs=1e-5)
 
 
 entries = st.lists(st.floats(-100.0, 100.0), min_size=9, max_size=9)

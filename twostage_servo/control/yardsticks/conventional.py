@@ -60,10 +60,8 @@ class ConventionalTwoStage:
         self._difference_gain = difference_gain
         self._sum_as_printed = sum_as_printed
         self._anchor = self._sum = self._target = self._velocity_reference = 0.0
-        self._model_position = self._model_velocity = 0.0
-        self._direction = 1.0
+        self._model_position = self._model_velocity = self.velocity = 0.0
         self._moving = False
-        self.velocity = 0.0
         self.changeovers = 0
         self.stage = Stage.SPEED
 
