@@ -52,6 +52,14 @@ def axis_settings(
     return AxisSettings.model_validate(DEMO | tables)
 
 
+def check_what_is_told(axis: Axis, tick_index: int) -> None:
+    """Check that each trip, and what lasts, says what has happened, and when."""
+    for trip in (*axis.trips.values(), *axis.lasting):
+        assert trip.cause
+        assert "None" not in trip.cause
+        assert 0 <= trip.tick <= tick_index
+
+
 @dataclass
 class AxisRig:
     """Drives an axis and its plant. `sees` changes what the axis is told of the true position."""
@@ -91,10 +99,7 @@ class AxisRig:
         self.move(command.effort if self.enabled else 0.0)
         self.commands.append(command)
         self.states.append(self.axis.state)
-        for trip in (*self.axis.trips.values(), *self.axis.lasting):  # each says what happened, and when
-            assert trip.cause
-            assert "None" not in trip.cause
-            assert 0 <= trip.tick <= self.tick_index
+        check_what_is_told(self.axis, self.tick_index)
         return command
 
     def move(self, effort: float) -> None:

@@ -172,3 +172,10 @@ def test_a_disarmed_axis_has_nothing_to_stop_and_is_armed_for_all_else(event: Ev
     assert refused.value.code == "disarmed"
     assert ("nothing to stop" in str(refused.value)) is (event in {Event.STOP, Event.QUICK_STOP})
     assert ("`arm` it first" in str(refused.value)) is (event not in {Event.STOP, Event.QUICK_STOP})
+
+
+@pytest.mark.parametrize(("because", "said"), [("", ""), ("the drive has rebooted", " (the drive has rebooted)")])
+def test_why_the_position_is_not_known_is_said_where_there_is_a_reason(because: str, said: str) -> None:
+    with pytest.raises(Refused) as refused:
+        HERE.check_target(0.0, referenced=False, lost_because=because)
+    assert str(refused.value).startswith(f"the axis does not know its position{said}: `home` it first")

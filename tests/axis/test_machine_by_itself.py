@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, AxisRig, axis_settings, check_what_is_told
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_states import interpret
@@ -36,6 +36,7 @@ class Silent(AxisRig):
             self.axis.take_heartbeat(None, self.state_told)
         command = self.axis.step()
         self.commands.append(command)
+        check_what_is_told(self.axis, self.tick_index)
         return command
 
 
@@ -64,6 +65,23 @@ def test_one_that_says_that_it_is_enabled_while_it_is_told_to_be_disabled_has_a_
     assert list(rig.axis.trips) == [TripCode.DRIVE_NOT_DISABLED]
     assert ticks == 90  # the first heartbeat after 82
     assert "for 890 ms of the 890 ms" in rig.axis.trips[TripCode.DRIVE_NOT_DISABLED].cause
+
+
+# Arming --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("enables", "why"), [(False, "the drive has not reported that it is enabled"), (True, "two fresh")]
+)
+def test_what_arming_has_waited_for_is_told(enables: bool, why: str) -> None:
+    rig = AxisRig(enables=enables).seconds(0.1)
+    rig.axis.arm()
+    for _ in range(60):
+        rig.tick(missed=int(enables))
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.DRIVE_NOT_ENABLED
+    assert rig.axis.trip.cause.startswith(why)
+    assert rig.axis.trip.cause.endswith("within 500 ms of arming")
 
 
 # Somebody else's commands --------------------------------------------------------------------------------------------

@@ -329,6 +329,19 @@ def test_an_estimate_that_is_given_up_keeps_its_place_and_takes_its_speed_from_t
     assert (bench.observer.position, bench.observer.velocity, bench.observer.disturbance) == (10.0, 0.0, 0.0)
 
 
+@pytest.mark.parametrize("in_doubt", [True, False])
+def test_blind_it_goes_on_from_before_the_samples_that_are_in_doubt(*, in_doubt: bool) -> None:
+    """The last sample was off by 0.2 mm, which is believed, or by 30 mm, which is not."""
+    bench = Bench().holding()
+    for _ in range(20):
+        bench.observer.velocity = 50.0
+        bench.step(bench.observer.position)
+    bench.observer.velocity = 80.0  # what samples since have made of it
+    bench.motion.implausible = int(in_doubt)
+    bench.motion.go_blind()
+    assert (abs(bench.observer.velocity - 80.0) < 5.0) is not in_doubt
+
+
 def test_a_stop_goes_on_from_what_the_model_says_when_its_estimate_is_given_up() -> None:
     bench = Bench().holding()
     bench.observer.velocity = 50.0

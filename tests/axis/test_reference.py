@@ -152,6 +152,15 @@ def test_until_the_heartbeat_has_come_the_axis_cannot_be_armed() -> None:
     assert rig.axis.obstacle_to_arming() is None
 
 
+def test_a_heartbeat_without_a_count_proves_nothing() -> None:
+    rig = restarts(homed(0.0, boots=BOOTS), 20)
+    rig.seconds(0.05)
+    rig.axis.take_heartbeat(None)
+    obstacle = rig.axis.obstacle_to_arming()
+    assert obstacle is not None
+    assert obstacle[0] == "heartbeat_lost"
+
+
 @pytest.mark.parametrize("silent_ticks", SHORT)
 def test_a_glitch_of_the_cable_costs_nothing(silent_ticks: int) -> None:
     rig = homed()
