@@ -83,7 +83,6 @@ def test_a_foreign_command_keeps_from_arming_for_as_long_as_arming_may_take(miss
         obstacle = drive.obstacle_to_arming()
         if tick * (1 + missed) < 50:
             assert obstacle is not None
-            age_ms = 10 * tick * (1 + missed)
             ago = f"{10 * tick * (1 + missed)} ms ago"
             text = f"another node on the bus commands this drive: 0x201 (frame 1, {ago}). End the other service"
             assert obstacle == ("foreign_command", f"{text} or tool first.")
