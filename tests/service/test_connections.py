@@ -151,6 +151,22 @@ def test_without_descriptors_the_one_that_matters_least_makes_room_at_once(
     assert not [entry for entry in logs if entry["event"] == "no client can be let in"]
 
 
+def test_who_has_asked_for_something_that_is_not_read_yet_is_not_idle(path: Path) -> None:
+    async def script(_: World, control: ControlSocket) -> None:
+        first, other = await connect(path), await connect(path)
+        for client in (first, other):
+            await client.done(op="status")
+        idle_for_longest, idle = control._connections
+        first.writer.write(b'{"op": "status"}\n')  # in the kernel; nobody has looked
+        assert control._make_room()
+        assert idle_for_longest in control._connections
+        assert idle not in control._connections
+        assert (await first.answer())["ok"]
+        assert (await other.answer())["error"]["code"] == "too_many_clients"
+
+    serve(path, script)
+
+
 def test_a_stop_that_was_read_is_carried_out_though_its_connection_has_to_make_room(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
         operator = await connect(path)
