@@ -106,10 +106,20 @@ def test_a_stop_whose_connection_ends_is_asked_for_again(tmp_path: Path, op: str
         serving.start()
         client = Client(tmp_path / "s", timeout_s=60.0, axis="x")
         assert client.request(op=op) == {"ok": True}
+        assert client._socket.gettimeout() == 60.0  # of each answer, also after that
         serving.join(60.0)
         client.close()
     assert asked == [{"op": op, "axis": "x"}] * 2
     assert client.repeated == 2
+
+
+@pytest.mark.parametrize("op", ["stop", "disarm"])
+def test_a_stop_that_is_refused_is_not_asked_for_again(connected: tuple[Client, socket.socket], op: str) -> None:
+    client, service = connected
+    service.sendall(lines({"ok": False, "error": {"code": "disarmed", "message": "there is nothing to stop"}}))
+    with pytest.raises(CommandError, match="nothing to stop") as caught:
+        client.request(op=op)
+    assert (caught.value.code, client.repeated) == ("disarmed", 0)
 
 
 def test_a_stop_is_not_asked_for_again_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
