@@ -383,3 +383,16 @@ def test_an_input_that_one_frame_of_a_tick_shows_is_active_for_that_tick(
     drive.begin_tick(0)
     drive.take(Feedback(0.0, 5, enabled=True, **{name: False}))
     assert getattr(drive, name) is False
+
+
+@pytest.mark.parametrize("late", [0, 2])
+def test_frames_that_came_too_late_are_told_where_there_were_any(late: int) -> None:
+    drive = report()
+    seen(drive, 0.0, 1)
+    for counter in range(2, 2 + late):
+        drive.begin_tick(0)
+        drive.take(Feedback(0.0, counter, late=True))
+    for _ in range(5):
+        drive.begin_tick(0)
+    ((_, cause),) = drive.troubles(arming=False)
+    assert cause.endswith("; 2 feedback frames have come too late to count" if late else "stale_feedback_ms is 30")
