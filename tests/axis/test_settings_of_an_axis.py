@@ -102,6 +102,12 @@ def test_what_is_no_number_has_its_default_and_its_bounds() -> None:
         assert refused({key: ""})
 
 
+@pytest.mark.parametrize("name", ["a\nb", "\x1b[31m", "\x00", "a\x7f"])
+def test_a_name_is_one_line_of_what_can_be_shown(name: str) -> None:
+    assert refused({"name": name})
+    assert not refused({"name": "Achse ü=1 / links"})
+
+
 def refused(changes: dict[str, Any]) -> str:
     """Return what the demo's axis with these changes is refused with, or nothing."""
     tables = {key: DEMO.get(key, {}) | value if isinstance(value, dict) else value for key, value in changes.items()}

@@ -137,6 +137,15 @@ def test_any_other_refusal_is_a_failure(script: Script, code: str) -> None:
     assert (caught.value.code, caught.value.exit_code) == (code, ExitCode.FAILED)
 
 
+@pytest.mark.parametrize(("op", "exit_code"), [("arm", 3), ("jog", 3), ("move", 2), ("home", 2)])
+def test_an_axis_that_stands_outside_its_limits_is_no_bad_usage(script: Script, op: str, exit_code: int) -> None:
+    client = script.connect()
+    script.answers(refused("position_limit"), {"ok": True})
+    with client, pytest.raises(CommandError) as caught:
+        client.request(op=op)
+    assert caught.value.exit_code == exit_code
+
+
 def test_bad_usage_is_what_the_docs_say() -> None:
     assert {"bad_request", "position_limit", "velocity_limit", "which_axis"} == BAD_USAGE
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +114,11 @@ def test_a_trip_ends_with_exit_code_3_and_says_why(capsys: pytest.CaptureFixture
     assert "axis.limits.jam_effort is 2.5" in result["trip"]["cause"]
     assert "reset" in result["trip"]["next_action"]
     assert result["settling_time_s"] is None
+
+
+def test_a_trip_while_it_is_being_armed_is_told_with_its_cause(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["demo", "--fast", "--set", "simulation.load=-24"]) == 3
+    assert re.search(r"no move to 400 mm: the axis did not arm: .+ mm", capsys.readouterr().out)
 
 
 def test_a_silent_drive_ends_with_exit_code_3(capsys: pytest.CaptureFixture[str]) -> None:

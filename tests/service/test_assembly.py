@@ -1,5 +1,6 @@
 """What a configuration becomes: each part gets the numbers that are its own."""
 
+import asyncio
 import pickle
 from collections.abc import Callable
 from pathlib import Path
@@ -154,6 +155,23 @@ def test_the_frames_that_go_for_ever_and_how_often() -> None:
     profile = compile_profile(loaded)
     assert frames[0].data_bytes == len(profile.encode_command(0.0, enable=False, counter=0))
     assert not any(frame.extended for frame in frames)
+
+
+def test_a_fault_is_told_by_its_name_too_where_the_dbc_has_one() -> None:
+    async def script(world: World) -> list[str]:
+        causes = []
+        for code in (2, 77):
+            await world.armed()
+            world.drive.change(asyncio.get_running_loop().time(), fault_code=code)
+            await world.until(lambda: world.axis.trip is not None)
+            assert world.axis.trip is not None
+            causes.append(world.axis.trip.cause)
+            world.drive.change(asyncio.get_running_loop().time(), fault_code=0)
+            await world.seconds(0.2)
+            world.axis.reset()
+        return causes
+
+    assert simulate(script) == ["the drive reports fault code 2 (Overcurrent)", "the drive reports fault code 77"]
 
 
 def test_where_the_socket_lies(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

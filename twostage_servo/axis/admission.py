@@ -61,7 +61,7 @@ class Admission:
                 (
                     f"the axis stands at {position:.6g} {unit}, more than {limits.position_overrun:g} {unit} outside "
                     f"its limits {limits.position_minimum:g} to {limits.position_maximum:g}: move "
-                    "it back by hand first."
+                    "it back by hand first; or, if it does not stand there, tell where it does: `home --here POSITION`."
                 ),
             )
         return None

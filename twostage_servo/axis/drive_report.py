@@ -1,7 +1,7 @@
 """What the axis knows of its drive: the newest feedback, how old it is, and what it says of the drive's state."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from twostage_servo.axis.drive_states import DriveState, DriveStateComparison
 from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
@@ -46,6 +46,8 @@ class DriveReport:
         Whether the drive says it is enabled; None where it does not tell.
     fault_code
         The drive's fault code while it reports a fault, else None.
+    fault_texts
+        What the drive's fault codes mean, as far as that is known.
     faulted
         Whether the drive says that it has a fault; None where it does not tell.
     safe_torque_off, positive_limit, negative_limit, home_switch
@@ -93,6 +95,7 @@ class DriveReport:
         self.boots = 0
         self.fresh = False
         self.told_state = self.told_present_state = False
+        self.fault_texts: Mapping[int, str] = {}
         self._settings = settings
         self._period_ms = 1e3 * period_s
         self._position_period = position_period
@@ -265,7 +268,7 @@ class DriveReport:
         if self.safe_torque_off:
             yield TripCode.SAFE_TORQUE_OFF, "the drive reports that its safe torque off has been asked for"
         if self.fault_code is not None:
-            yield TripCode.DRIVE_FAULT, f"the drive reports fault code {self.fault_code}"
+            yield TripCode.DRIVE_FAULT, f"the drive reports {self._say_fault()}"
         if self.enabled is False and not arming:
             yield TripCode.DRIVE_DROPPED_OUT, "the drive reports that it is no longer enabled"
         if self._has_heartbeat and self._ticks_since_heartbeat >= self._heartbeat_ticks:
@@ -315,6 +318,11 @@ class DriveReport:
             )
         trouble = next(self.troubles(arming=True), None)
         return None if trouble is None else (trouble[0].value, f"{trouble[1]}: remove its cause first.")
+
+    def _say_fault(self) -> str:
+        code = self.fault_code
+        text = None if code is None else self.fault_texts.get(code)
+        return f"fault code {code}" + (f" ({text})" if text else "")
 
     def _why_late(self) -> str:
         """Return the end of a sentence that says what came too late to count, if anything did."""

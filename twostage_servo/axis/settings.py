@@ -235,7 +235,9 @@ class ApproachSettings(Settings):
 class AxisSettings(Settings):
     """One drive with its law and limits."""
 
-    name: str = Field("axis", description="Name in logs and status", min_length=1, max_length=64)
+    name: str = Field(
+        "axis", description="Name in logs and status", min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]*$"
+    )
     unit: str = Field(description="Unit of position, such as mm or deg", min_length=1, max_length=16)
     effort_unit: str = Field(description="Unit of the effort, such as V, A or %", min_length=1, max_length=16)
     cruise_velocity: float = quantity(

@@ -26,6 +26,8 @@ _PAUSE_S = 0.002
 _OF_ALL = frozenset({"release", "take", "reload"})
 BAD_USAGE = frozenset({"bad_request", "position_limit", "velocity_limit", "which_axis"})
 """Refusals for which the request alone is to blame, whatever the axis does."""
+_WITHOUT_PLACE = frozenset({"arm", "jog"})
+"""Requests that name no position: one that is beyond the limits is the axis' own."""
 
 
 class Client:
@@ -152,7 +154,7 @@ class Client:
         answer = self._read()
         while answer.get("event"):  # snapshots that were under way
             answer = self._read()
-        _raise_failure(answer)
+        _raise_failure(answer, fields["op"])
         return answer
 
     def be_patient(self, timeout_s: float) -> None:
@@ -204,10 +206,11 @@ def _connect(stream: socket.socket, path: Path, timeout_s: float) -> None:
     stream.settimeout(timeout_s)
 
 
-def _raise_failure(answer: Answer) -> None:
-    """Raise what a failure says; let any other line pass."""
+def _raise_failure(answer: Answer, op: str = "") -> None:
+    """Raise what a failure says, of what was asked for; let any other line pass."""
     if answer.get("ok", True):
         return
     failure = answer["error"]
-    code = ExitCode.USAGE if failure["code"] in BAD_USAGE else ExitCode.FAILED
+    of_the_axis = op in _WITHOUT_PLACE and failure["code"] == "position_limit"
+    code = ExitCode.USAGE if failure["code"] in BAD_USAGE and not of_the_axis else ExitCode.FAILED
     raise CommandError(code, failure["code"], failure["message"])

@@ -117,7 +117,7 @@ class Demonstration:
             return
         axis.arm()
         if not await self._until(lambda: axis.state is State.HOLDING or axis.trip is not None, _READY_S) or axis.trip:
-            self.failure = "the axis did not arm"
+            self.failure = "the axis did not arm" + (f": {axis.trip.cause}" if axis.trip else "")
             return
         move = axis.move_to(self._target, self._velocity)
         assert self._drive is not None  # noqa: S101 - run() has made it

@@ -15,7 +15,8 @@ from twostage_servo.cli.output import CommandError, ExitCode, note, print_json
 from twostage_servo.printable import printable
 
 _EPILOG = """\
-exit codes: 0 done, 2 bad usage or configuration, 3 the axis tripped or did not do it, 4 no service answers
+exit codes: 0 done, 1 its output cannot be written, or a defect, 2 bad usage or configuration, 3 the axis tripped or
+did not do it, 4 no service answers, 130 interrupted
 start here: twostage-servo demo
 """
 

@@ -1,7 +1,7 @@
 """Puts a service together from a loaded configuration; what does not fit is an error with file, line and key."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -41,6 +41,7 @@ class DriveFrames(NamedTuple):
     effort_limit: float
     effort_unit: str
     dbc_digest: str
+    fault_texts: "Mapping[int, str]"
 
     @classmethod
     def of(cls, profile: DriveProfile) -> "DriveFrames":
@@ -112,7 +113,7 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames
     designed = design(loaded, tick_s)
     try:
         check_detection(designed)
-        return Axis(
+        axis = Axis(
             designed,
             profile.counter_modulus,
             profile.position_period,
@@ -122,6 +123,8 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames
         )
     except DesignError as error:
         raise loaded.problem(error.key, str(error)) from error
+    axis.drive.fault_texts = profile.fault_texts
+    return axis
 
 
 def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames, tick_s: float) -> None:
