@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from twostage_servo.axis.design import AxisDesign
-    from twostage_servo.config import Config, LoadedConfig
-    from twostage_servo.config_problems import Problem
+    from twostage_servo.config import Config, ConfigError, LoadedConfig
     from twostage_servo.machine import Machine
     from twostage_servo.service.station import Station
 
@@ -110,8 +109,7 @@ def _warnings(loaded: "LoadedConfig[Config]", station: "Station") -> "Iterator[d
 
     profile = station.profile
     for weak in weak_limits(station.axis.design, profile.position_quantum, heartbeat=profile.heartbeat_id is not None):
-        (place,) = loaded.problem(("axis", *weak.key), weak.disables).problems
-        yield _warning(place, weak.value, weak.disables, weak.do)
+        yield _warning(loaded.problem(("axis", *weak.key), weak.disables), weak.value, weak.do)
 
 
 def _warnings_of_the_end(machine: "Machine", station: "Station") -> "Iterator[dict[str, Any]]":
@@ -121,18 +119,17 @@ def _warnings_of_the_end(machine: "Machine", station: "Station") -> "Iterator[di
     settings, axis = machine.service, station.axis
     needed_ms, speed = stop_ms(axis.design), axis.settings.limits.velocity
     if "shutdown_timeout_ms" in settings.model_fields_set and settings.shutdown_timeout_ms < needed_ms:
-        (place,) = machine.problem(("service", "shutdown_timeout_ms"), "").problems
         disables = (
             f"the braking at the end of the service: axis {station.name} takes {needed_ms:.0f} ms to stop from "
             f"{speed:g} {axis.settings.unit}/s, and its drive is disabled before, so that it coasts"
         )
-        yield _warning(place, settings.shutdown_timeout_ms, disables, f"remove it, or state {needed_ms:.0f} at least")
+        problem = machine.problem(("service", "shutdown_timeout_ms"), disables)
+        yield _warning(problem, settings.shutdown_timeout_ms, f"remove it, or state {needed_ms:.0f} at least")
 
 
-def _warning(place: "Problem", value: float, disables: str, do: str) -> dict[str, Any]:
-    return {
-        "file": place.file, "line": place.line, "key": place.key, "value": value, "disables": disables, "do": do,
-    }  # fmt: skip
+def _warning(problem: "ConfigError", value: float, do: str) -> dict[str, Any]:
+    (one,) = problem.problems
+    return {"file": one.file, "line": one.line, "key": one.key, "value": value, "disables": one.message, "do": do}
 
 
 def _detection(design: "AxisDesign") -> dict[str, Any]:
