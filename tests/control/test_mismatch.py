@@ -16,10 +16,11 @@ MODEL = PLANT.discretise(PERIOD_S)
 class Bench:
     """A plant under a given effort, its model's observer, and the test; no loop is closed."""
 
-    def __init__(self, factor: float, pole: float = 1.0) -> None:
-        self.plant = Plant(factor * PLANT.gain, pole * PLANT.pole).discretise(PERIOD_S)
-        self.observer = DisturbanceObserver(MODEL, kalman_gain(MODEL, NoiseModel()).predictor)
-        self.test = ModelTest(PLANT, PERIOD_S, NoiseModel())
+    def __init__(self, factor: float, pole: float = 1.0, period_s: float = PERIOD_S) -> None:
+        self.plant = Plant(factor * PLANT.gain, pole * PLANT.pole).discretise(period_s)
+        model = PLANT.discretise(period_s)
+        self.observer = DisturbanceObserver(model, kalman_gain(model, NoiseModel()).predictor)
+        self.test = ModelTest(PLANT, period_s, NoiseModel())
         self.test.start(self.observer)
         self.position = self.velocity = 0.0
         self.counts, self.changed_at = 1.0, 0.0

@@ -2,7 +2,8 @@
 
 import pytest
 
-from twostage_servo.control.mismatch import ACCEPTED, ModelTest
+from twostage_servo.control.hypotheses import ACCEPTED, OTHER_GAINS
+from twostage_servo.control.mismatch import ModelTest
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.plant import Plant
 
@@ -19,47 +20,56 @@ def at_rest(velocity: float = 0.0) -> DisturbanceObserver:
     return model
 
 
-def verdict(surprise: float, *shares: float) -> float | None:
-    """Return what is told of a surprise, and of the share of it that each other gain leaves unexplained."""
+def unexplained(shares: dict[float, float], surprise: float = 1.0) -> list[float]:
+    """Return the sums of the other gains, of which one leaves a share of the surprise unexplained, and the rest all."""
+    return [shares.get(other.factor, 1.0) * surprise**2 for other in OTHER_GAINS]
+
+
+def verdict(surprise: float, shares: dict[float, float]) -> float | None:
+    """Return what is told of a surprise, and of the share of it that another gain leaves unexplained."""
     test = ModelTest(PLANT, PERIOD_S, NOISE)
     test.surprise, test._sum, test._still_sum = surprise, surprise**2, 1e9
-    test._sums = [share * surprise**2 for share in shares]
+    test._sums = unexplained(shares, surprise)
     return test.better_factor
 
 
 @pytest.mark.parametrize(
     ("surprise", "shares", "expected"),
     [
-        (0.1249, (0.0, 1.0, 1.0), None),
-        (0.1251, (0.0, 1.0, 1.0), -1.0),
-        (0.1249, (1.0, 0.0, 1.0), None),
-        (0.1251, (1.0, 0.0, 1.0), 0.45),
-        (0.1251, (1.0, 1.0, 0.0), 2.2),
+        (0.1249, {-1.0: 0.0}, None),
+        (0.1251, {-1.0: 0.0}, -1.0),
+        (0.1249, {0.45: 0.0}, None),
+        (0.1251, {0.45: 0.0}, 0.45),
+        (0.1251, {0.5: 0.0}, 0.5),
+        (0.1251, {2.0: 0.0}, 2.0),
+        (0.1251, {2.2: 0.0}, 2.2),
     ],
 )
 def test_a_surprise_of_one_and_a_quarter_standard_deviations_decides(
-    surprise: float, shares: tuple[float, ...], expected: float | None
+    surprise: float, shares: dict[float, float], expected: float | None
 ) -> None:
-    assert verdict(surprise, *shares) == expected
+    assert verdict(surprise, shares) == expected
 
 
 @pytest.mark.parametrize(
     ("shares", "expected"),
     [
-        ((1 / 7.9, 1.0, 1.0), None),
-        ((1 / 8.1, 1.0, 1.0), -1.0),
-        ((1.0, 1 / 4.9, 1.0), None),
-        ((1.0, 1 / 5.1, 1.0), 0.45),
-        ((1.0, 1.0, 1 / 5.1), 2.2),
+        ({-1.0: 1 / 7.9}, None),
+        ({-1.0: 1 / 8.1}, -1.0),
+        ({0.45: 1 / 4.9}, None),
+        ({0.45: 1 / 5.1}, 0.45),
+        ({2.2: 1 / 5.1}, 2.2),
     ],
 )
-def test_a_sign_has_to_be_eight_times_better_and_a_scale_five(shares: tuple[float, ...], expected: float) -> None:
-    assert verdict(2.0, *shares) == expected
+def test_a_sign_has_to_be_eight_times_better_and_a_scale_five(
+    shares: dict[float, float], expected: float | None
+) -> None:
+    assert verdict(2.0, shares) == expected
 
 
 def test_what_an_encoder_that_stands_still_explains_as_well_is_no_other_gain() -> None:
     test = ModelTest(PLANT, PERIOD_S, NOISE)
-    test.surprise, test._sum, test._sums = 1.0, 1.0, [1.0, 0.01, 1.0]
+    test.surprise, test._sum, test._sums = 1.0, 1.0, unexplained({0.45: 0.01})
     for still, told in ((0.0399, None), (0.0401, 0.45)):
         test._still_sum = still
         assert test.better_factor == told
@@ -102,9 +112,9 @@ def test_the_sums_are_those_of_the_best_accepted_plant_and_of_each_other_gain() 
         return DisturbanceObserver(sampled, kalman_gain(sampled, slow).predictor)
 
     accepted = [(observer(gain, pole), delay) for gain, pole, delay in ACCEPTED]
-    gains = [observer(factor, 1.0) for factor in (-1.0, 0.45, 2.2)]
+    gains = [observer(factor * plant.gain, plant.pole) for factor, plant in OTHER_GAINS]
     test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
-    total, sums, before = 0.0, [0.0] * 3, 0.0
+    total, sums, before = 0.0, [0.0] * len(gains), 0.0
     for n in range(12):
         sample, effort = 0.03 * n * n, 1.0 + n
         model.update(sample, effort)
@@ -173,4 +183,4 @@ def test_the_hypotheses_forget_a_disturbance_as_the_noise_model_says() -> None:
         test.update(0.1 * n, 1.0, model, 0.0)
         other.update(0.1 * n, 1.0)
         expected = 0.93 * expected + other.innovation**2
-    assert test._sums[2] == pytest.approx(expected, rel=1e-12)
+    assert test._sums[-1] == pytest.approx(expected, rel=1e-12)

@@ -9,13 +9,13 @@ has that much.
 from typing import Final
 
 from twostage_servo.axis.design import AxisDesign
-from twostage_servo.control.mismatch import ACCEPTED
+from twostage_servo.control.hypotheses import ACCEPTED
 from twostage_servo.control.observer import DisturbanceObserver
 
 _SHARE: Final = 0.3
 """Share of the present disturbance in the mean: over some three ticks."""
 
-_CRUISE_EFFORTS: Final = tuple(pole / gain for gain, pole, _ in ACCEPTED)
+_CRUISE_EFFORTS: Final = tuple(plant.pole / plant.gain for plant in ACCEPTED)
 """The effort of a cruise on each accepted plant, as a multiple of the model's."""
 
 _LEAST_FRICTION: Final = 1.0 - max(_CRUISE_EFFORTS)

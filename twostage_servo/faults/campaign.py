@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twostage_servo.axis.detection import slowest_certain_velocity
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import COMMANDED, State
 from twostage_servo.config import Config, LoadedConfig
@@ -157,6 +158,7 @@ class Campaign:
         self.design: AxisDesign = design(self.loaded)
         self.profile = compile_profile(self.loaded)
         self._searching = machine.with_axis(self.axis, _with_a_search(self.loaded.config))
+        self._certain: float | None = None  # speed from which on `check` says that a change of the encoder shows
         self._references: dict[tuple[Phase, bool, bool], _Outcome] = {}
 
     def cells(
@@ -194,6 +196,22 @@ class Campaign:
         """Return the configuration in which a phase is played."""
         return self._searching if phase is Phase.HOMING else self.machine
 
+    def _limit(self, fault: Fault, reference: _Outcome) -> str:
+        """Return why one encoder cannot tell, after a motion without the fault; empty if it can."""
+        fastest = max((abs(sample.velocity) for sample in reference.samples), default=0.0)
+        if fault.takes_speed and fastest < (certain := self._certain_velocity()):
+            unit = self.design.settings.unit
+            return (
+                f"the axis goes {fastest:.3g} {unit}/s at most, and a change of its encoder shows from {certain:.3g} "
+                f"{unit}/s on (`check`, certain_from_velocity)"
+            )
+        return fault.limit(self.loaded.config)
+
+    def _certain_velocity(self) -> float:
+        if self._certain is None:
+            self._certain = slowest_certain_velocity(self.design)
+        return self._certain
+
     def run(self, fault: Fault, phase: Phase) -> Cell:
         """Run one cell."""
         reference = self._reference(phase, fault)
@@ -223,7 +241,7 @@ class Campaign:
         else:
             travel, incomparable = _deviation(outcome, reference, self.design.period_s)
             wrong = "; ".join(filter(None, (incomparable, wrong)))
-        limit = fault.limit(self.loaded.config) if outcome.observed == TOLERATED != expected else ""
+        limit = self._limit(fault, reference) if outcome.observed == TOLERATED != expected else ""
         bound = (fault.limit_bound if limit and fault.limit_bound else fault.budget(phase, expected))(budget)
         return Cell(
             fault.number,

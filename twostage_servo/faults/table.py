@@ -11,7 +11,8 @@ from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
 from twostage_servo.config import Config
-from twostage_servo.control.mismatch import ACCEPTED, GAIN_FACTORS, NOISE_SHARE
+from twostage_servo.control.hypotheses import ACCEPTED, OTHER_GAINS
+from twostage_servo.control.mismatch import NOISE_SHARE
 from twostage_servo.faults import bus_faults, client_faults, drive_faults, host_faults, resource_faults
 from twostage_servo.faults.budget import Budget
 from twostage_servo.faults.checks import (
@@ -141,6 +142,8 @@ class Fault:
         The travel that it may cost then, in axis unit.
     shared
         Whether it is a fault of what all axes of a machine share, so that another axis may trip by it as well.
+    takes_speed
+        Whether it shows only from the speed on that `check` states, and may be tolerated below.
     note
         What the reader of the matrix should know.
     """
@@ -166,6 +169,7 @@ class Fault:
     limit: Callable[[Config], str] = lambda _: ""
     limit_bound: Bound | None = None
     shared: bool = False
+    takes_speed: bool = False
     note: str = ""
 
     def budget(self, phase: Phase, expected: str) -> Bound:
@@ -327,7 +331,9 @@ def _hidden_by_noise(config: Config) -> str:
     )
 
 
-_LEAST_GAIN = math.sqrt(min(gain for gain, _, _ in ACCEPTED) * min(gain for gain in GAIN_FACTORS if gain > 0.0))
+_LEAST_GAIN = math.sqrt(
+    min(plant.gain for plant in ACCEPTED) * min(one.factor for one in OTHER_GAINS if one.factor > 0.0)
+)
 """Share of its gain below which a plant is another one, which the model test tells: it is nearer to the hypothesis of
 too small a gain (0.45) than to the weakest plant that is accepted (0.7)."""
 
@@ -388,11 +394,11 @@ TABLE: tuple[Fault, ...] = (
     Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
           again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
     Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
-          check=noticed_early, again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
+          check=noticed_early, again=True, takes_speed=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
     Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True,
-          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_hidden_by_noise),
+          takes_speed=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_hidden_by_noise),
     Fault(22, "scale halved", _D.scaled(0.5), QUICK, lambda budget: budget.halved_scale(), idle=QUICK, again=True,
-          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_looks_like_the_model(0.5),
+          takes_speed=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_looks_like_the_model(0.5),
           limit_bound=lambda budget: budget.hidden_scale()),
     Fault(23, "position invalid", _D.not_a_number, QUICK, _stale, needs=lambda profile, _: profile.can_say_invalid,
           reason="the drive's position signal has no value that says it is invalid"),
