@@ -10,8 +10,10 @@ import pytest
 from tests.axis.rig import DEMO, PERIOD_S, axis_settings
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.settings import AxisSettings
+from twostage_servo.control.hypotheses import OTHER_GAINS
 from twostage_servo.control.margins import Margins, loop_margins
 from twostage_servo.control.observer import NO_CORRECTION
+from twostage_servo.control.plant import Plant
 from twostage_servo.control.two_stage import Stage
 
 GAIN, POLE = 180.0, 14.0
@@ -63,10 +65,14 @@ def test_the_variances_reach_the_noise_model_in_their_order() -> None:
 
 
 def test_the_model_test_is_of_the_same_plant() -> None:
-    """What its hypotheses predict for an effort of 1 after a period is b1 times their factors."""
+    """What its hypotheses predict for an effort of 1 after a period is b1 of their plants."""
     test = demo().build_model_test()
     test.predict(1.0)
-    expected = [factor * demo().plant.b1 for factor in (-1.0, 0.45, 2.2)]
+    model = demo().settings.plant
+    expected = [
+        Plant(factor * plant.gain * model.gain, plant.pole * model.pole).discretise(PERIOD_S).b1
+        for factor, plant in OTHER_GAINS
+    ]
     assert [observer.position for observer in test._gains] == pytest.approx(expected)
 
 

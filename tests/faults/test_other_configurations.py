@@ -171,7 +171,7 @@ def test_a_halved_scale_is_a_stated_limit_only_where_it_hides_what_the_model_is_
 
 def test_the_travel_of_a_stated_limit_is_bounded_by_twice_the_way() -> None:
     halved = next(fault for fault in TABLE if fault.name == "scale halved")
-    cell = Campaign(load(configuration("example2")), seed=1).run(halved, Phase.STOPPING)
+    cell = Campaign(load(configuration("example2")), seed=1).run(halved, Phase.HOLDING)
     assert (cell.met, cell.expected, cell.observed) == (True, "Q", "T")
     assert "one encoder cannot tell" in cell.limit
     assert 100.0 < cell.travel < cell.bound < 300.0

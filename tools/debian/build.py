@@ -29,7 +29,8 @@ NAME: Final = "twostage-servo"
 SCRIPTS: Final = ("preinst", "postinst", "prerm", "postrm")
 EXAMPLES: Final = (
     "socketcan.toml", "two_processes.toml", "two_axes.toml", "second_axis.toml", "rotary_table.toml", "metres.toml",
-    "free_running.toml", "plain_drive.toml", "servo_drive.dbc", "rotary_table.dbc", "plain_drive.dbc",
+    "free_running.toml", "fast_tick.toml", "plain_drive.toml", "servo_drive.dbc", "rotary_table.dbc",
+    "plain_drive.dbc",
 )  # fmt: skip
 _OPT: Final = Path("opt") / NAME
 _DOC: Final = Path("usr/share/doc") / NAME

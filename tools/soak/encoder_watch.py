@@ -153,7 +153,9 @@ class EncoderWatch:
         self._began = f"{self._axis.state} at {speed:.4g}"
         shows = abs(speed) >= self._certain_speed()
         steady = self._axis.state in BRAKING or self._cruises(abs(speed))
-        self._begin_motion(position, max(abs(speed), self._speed_asked()), shows=shows, steady=steady)
+        at_rest = self._axis.state not in COMMANDED and abs(speed) <= self._axis.design.rest_velocity
+        asked = max(abs(speed), self._speed_asked())
+        self._begin_motion(position, asked, shows=shows, steady=steady, from_rest=at_rest)
 
     def move_asked(self, position: float, velocity: float, *, at_rest: bool) -> None:
         """Take a motion that was asked for, at a velocity in axis unit/s, of an axis at a true position."""
@@ -161,7 +163,7 @@ class EncoderWatch:
             return
         if at_rest:
             self._began += f", then from rest at {velocity:.4g}"
-            self._begin_motion(position, velocity, shows=False, steady=False)
+            self._begin_motion(position, velocity, shows=False, steady=False, from_rest=True)
         else:
             self._speed = max(self._speed, velocity)
             self._set_bound()
@@ -232,7 +234,7 @@ class EncoderWatch:
             self._origin += after - before
             self._error_allowed += abs(1.0 - self.factor) * abs(after - before)
 
-    def _begin_motion(self, position: float, speed: float, *, shows: bool, steady: bool) -> None:
+    def _begin_motion(self, position: float, speed: float, *, shows: bool, steady: bool, from_rest: bool) -> None:
         """Begin with a motion.
 
         Parameters
@@ -243,10 +245,12 @@ class EncoderWatch:
             Whether it is fast enough for the fault to show in the samples themselves, whatever the plant.
         steady
             Whether nothing hides that: it cruises, or is coming to rest in any case.
+        from_rest
+            Whether the fault is there from rest on, so that all of the motion shows it.
         """
         self._origin, self._speed = position, speed
         is_scale = self.factor > 0.0
-        self._is_certain = not is_scale or (shows and steady) or self._is_refused()
+        self._is_certain = not is_scale or (shows and steady) or (from_rest and self._is_refused())
         self._is_slow = is_scale and not shows
         self._effort_before = None if shows or self.factor else self._axis.law.effort
         self._set_bound()

@@ -72,7 +72,7 @@ async def right_or_not_trusted(world: World) -> str | None:
 async def noticed_early(world: World) -> str | None:
     """Check that the trip came before the axis had gone ten times the innovation limit: 5 mm with 0.5 mm.
 
-    On a long tick it goes farther at its cruise velocity in the samples that it takes: the fault falls before the first.
+    On a long tick it goes farther in the samples that it takes, at its cruise velocity: the fault falls before them.
     """
     tripped = list(itertools.takewhile(lambda sample: sample.state in _LATCHED, reversed(world.samples)))
     if not tripped:
