@@ -67,6 +67,18 @@ def test_one_that_says_that_it_is_enabled_while_it_is_told_to_be_disabled_has_a_
     assert "for 890 ms of the 890 ms" in rig.axis.trips[TripCode.DRIVE_NOT_DISABLED].cause
 
 
+def test_only_a_drive_that_is_told_to_disable_is_disabling() -> None:
+    rig = AxisRig().armed()
+    assert rig.enabled
+    assert [rig.axis.is_disabling] == [False]
+    rig.axis.disarm()
+    rig.enabled = True
+    rig.tick()
+    assert [rig.axis.is_disabling] == [True]
+    rig.seconds(0.1)
+    assert [rig.axis.is_disabling] == [False]
+
+
 # Arming --------------------------------------------------------------------------------------------------------------
 
 

@@ -419,6 +419,17 @@ def test_an_axis_of_which_nothing_has_been_shown_does_not_stand() -> None:
     assert bench.observer.disturbance == 0.0
 
 
+def test_an_encoder_that_still_stands_as_a_move_begins_takes_no_disturbance_away() -> None:
+    bench = Bench().holding()
+    bench.motion.set_target(400.0, 100.0)
+    for _ in range(2):
+        bench.step(10.0)
+    assert bench.motion.law.stage is Stage.SPEED
+    bench.observer.disturbance = 1.0
+    bench.step(10.0)
+    assert bench.observer.disturbance == pytest.approx(1.0, abs=0.5)
+
+
 def test_the_speed_is_known_from_the_second_sample_on_until_the_track_is_lost() -> None:
     bench = Bench()
     known = [bench.track(10.0).motion.knows_speed for _ in range(3)]
