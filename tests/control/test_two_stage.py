@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, extended_model, kalman_gain
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant
-from twostage_servo.control.two_stage import Stage, TwoStageLaw
+from twostage_servo.control.two_stage import Stage, TwoStageLaw, ending_share
 
 PERIOD_S = 0.01
 MODEL = Plant(180.0, 14.0)
@@ -361,3 +361,13 @@ def test_a_law_that_continues_from_another_gives_the_same_efforts() -> None:
     twin.continue_from(run.law)
     step: Callable[[float], float] = twin.step
     assert [step(400.0 - n) for n in range(300)] == [run.law.step(400.0 - n) for n in range(300)]
+
+
+@pytest.mark.parametrize("period_s", [0.001, 0.002, 0.005, 0.01])
+def test_a_stop_ends_by_a_quarter_of_its_speed_in_10_ms_on_shorter_ticks_as_well(period_s: float) -> None:
+    """By a quarter in each tick of 2 ms a healthy plant was reversed by 19 % of its speed."""
+    assert (1.0 - ending_share(period_s)) ** (0.01 / period_s) == pytest.approx(0.75)
+
+
+def test_a_stop_ends_by_a_quarter_of_its_speed_in_a_longer_tick() -> None:
+    assert ending_share(0.02) == ending_share(0.1) == pytest.approx(0.25)

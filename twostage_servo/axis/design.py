@@ -15,7 +15,7 @@ from twostage_servo.control.observer import (
 )
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant, Triple
-from twostage_servo.control.two_stage import ENDING_SHARE, Stage, TwoStageLaw
+from twostage_servo.control.two_stage import Stage, TwoStageLaw, ending_share
 
 REST_SHARE = 0.01
 """Share of the velocity limit at or below which the axis counts as at rest: 2.5 mm/s of the demo's 250."""
@@ -137,9 +137,10 @@ class AxisDesign:
             Slope of the speed reference, in axis unit/s².
         """
         speed, attainable = abs(velocity), self.attainable(deceleration)
-        ending_speed = min(speed, attainable * self.period_s / ENDING_SHARE)
-        ending_s = self.period_s * (1.0 / ENDING_SHARE - 0.5) - ending_speed / (2.0 * attainable)
-        steepest = min(attainable, ENDING_SHARE * speed / self.period_s)
+        share = ending_share(self.period_s)
+        ending_speed = min(speed, attainable * self.period_s / share)
+        ending_s = self.period_s * (1.0 / share - 0.5) - ending_speed / (2.0 * attainable)
+        steepest = min(attainable, share * speed / self.period_s)
         return self._ramp_distance(speed, deceleration, steepest) + ending_speed * ending_s
 
     def certain_stopping_distance(self, velocity: float, deceleration: float) -> float:

@@ -31,14 +31,21 @@ BRAKING_SHARE = 0.3
 pole, and with a period of delay more."""
 
 ENDING_SHARE = 0.25
-"""Largest share of its speed that a stop takes away in a period: what is under way when a sample shows that speed does
-not reverse a plant with 30 % more gain, or with a period of delay more."""
+"""Largest share of its speed that a stop takes away in 10 ms or a period, whichever is longer: what is under way when a
+sample shows that speed does not reverse a plant with 30 % more gain, or with a period of delay more."""
+
+_ENDING_S = 0.01
 
 REST_TICKS = 3
 """Periods for which the speed has to be low before a stop is done: one may be the estimate's own noise."""
 
 SPEED_TOLERANCE = 0.1
 """Share of the cruise velocity by which the axis may be too fast to enter the position stage for a new set-point."""
+
+
+def ending_share(period_s: float) -> float:
+    """Return the largest share of its speed that a stop takes away in a period (s); see :data:`ENDING_SHARE`."""
+    return 1.0 - (1.0 - ENDING_SHARE) ** min(1.0, period_s / _ENDING_S)
 
 
 class Stage(enum.IntEnum):
@@ -127,7 +134,7 @@ class TwoStageLaw:
         self._braking_gain = braking_gain(observer.plant)
         self._largest_step = effort_rate_limit * period_s
         self._rest_velocity = rest_velocity
-        self._smallest_step = ENDING_SHARE * rest_velocity  # or it would never end
+        self._smallest_step = ending_share(period_s) * rest_velocity  # or it would never end
         self._changeover_time = gains.changeover_time_s(period_s)
         self._ramp_limit = acceleration_limit * period_s
         self.changeovers = 0
@@ -196,7 +203,7 @@ class TwoStageLaw:
             By how much the disturbance changes with the speed, in effort unit s/axis unit: what the model's own
             friction lacks, or has too much of. The observer's disturbance holds it at the present speed.
         gradual
-            Whether the ramp ends by :data:`ENDING_SHARE` of the speed in a period. Where no sample corrects the model,
+            Whether the ramp ends by :func:`ending_share` of the speed in a period. Where no sample corrects the model,
             that would only cost distance: what a plant off its model does then, a gradual end does not change.
         """
         if self.stage is not Stage.BRAKE:
@@ -205,7 +212,7 @@ class TwoStageLaw:
             self._ticks_at_rest = 0
         self._ramp = deceleration * self.period_s
         self._friction = friction
-        self._ending_share = ENDING_SHARE if gradual else 1.0
+        self._ending_share = ending_share(self.period_s) if gradual else 1.0
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower, as after homing; nothing moves."""
