@@ -45,7 +45,8 @@ SPEED_TOLERANCE = 0.1
 
 def ending_share(period_s: float) -> float:
     """Return the largest share of its speed that a stop takes away in a period (s); see :data:`ENDING_SHARE`."""
-    return 1.0 - (1.0 - ENDING_SHARE) ** min(1.0, period_s / _ENDING_S)
+    kept: float = (1.0 - ENDING_SHARE) ** min(1.0, period_s / _ENDING_S)
+    return 1.0 - kept
 
 
 class Stage(enum.IntEnum):
