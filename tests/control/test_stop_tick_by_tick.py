@@ -127,3 +127,62 @@ def test_unless_told_otherwise_only_no_speed_at_all_is_rest() -> None:
     law = TwoStageLaw(DisturbanceObserver(MASS, NO_CORRECTION), GAINS, 0.01)
     law.stop(1000.0)
     assert {step_at(law, 0.001) for _ in range(10)} == {Stage.BRAKE}
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_gradual_stop_takes_no_more_than_a_quarter_of_the_speed_in_a_tick(sign: float) -> None:
+    """By 10 a tick down to 40, of which that is a quarter."""
+    law = law_at(sign * 70.0)
+    law.stop(1000.0, gradual=True)
+    references = []
+    for _ in range(6):
+        law.step(None)
+        references.append(sign * law.speed_reference)
+    assert references == pytest.approx([60.0, 50.0, 40.0, 30.0, 22.5, 16.875])
+
+
+def test_a_stop_that_is_not_gradual_takes_all_of_the_speed_that_its_ramp_does() -> None:
+    law = law_at(70.0)
+    law.stop(1000.0, gradual=True)
+    law.step(None)
+    law.stop(1e6)
+    law.step(None)
+    assert law.speed_reference == 0.0
+
+
+@pytest.mark.parametrize(
+    ("period_s", "after", "last"), [(0.002, 100.0 * 0.75**0.2, 1.0 - 0.75**0.2), (0.01, 75.0, 0.25), (0.04, 75.0, 0.25)]
+)
+def test_a_gradual_stop_ends_by_the_share_of_the_speed_of_rest(period_s: float, after: float, last: float) -> None:
+    """From 100 by its share; from 9, with a rest of 8, by that share of 8 at least, or it would never end."""
+    mass = DiscretePlant(period_s=period_s, a12=period_s, a22=1.0, b1=0.0, b2=1.0)
+    law = TwoStageLaw(DisturbanceObserver(mass, NO_CORRECTION), GAINS, period_s, rest_velocity=8.0)
+    law.observer.velocity = 100.0
+    law.stop(1e6, gradual=True)
+    law.step(None)
+    assert law.speed_reference == pytest.approx(after)
+    law.speed_reference = 4.0
+    law.observer.velocity = 4.0 - law.effort
+    law.step(None)
+    assert law.speed_reference == pytest.approx(4.0 - 8.0 * last)
+
+
+def test_friction_that_the_model_does_not_have_falls_with_the_speed() -> None:
+    """At 0.1 a mm/s, 10 mm/s less take 1 from the disturbance that held it, so that much less brakes."""
+    law = law_at(100.0)
+    law.stop(1000.0, friction=0.1)
+    assert law.step(None) == pytest.approx(-10.0)
+    assert law.observer.disturbance == 0.0
+    assert law.step(None) == pytest.approx(-10.0 + 1.0)
+    assert law.observer.disturbance == pytest.approx(-1.0)
+    assert law.step(None) == pytest.approx(-10.0 + 2.0)
+
+
+def test_a_law_that_continues_from_one_that_stops_stops_as_gradually_and_with_the_same_friction() -> None:
+    law, twin = law_at(100.0), law_at(-3.0)
+    law.stop(1e6, friction=0.1, gradual=True)
+    law.step(None)
+    twin.continue_from(law)
+    efforts = [law.step(None) for _ in range(5)]
+    assert [twin.step(None) for _ in range(5)] == efforts
+    assert law.speed_reference == twin.speed_reference == pytest.approx(100.0 * 0.75**6)
