@@ -106,12 +106,14 @@ def test_it_follows_its_samples_as_slowly_as_every_hypothesis(factor: float) -> 
         assert one.own_sum == pytest.approx(total)
 
 
-def test_an_encoder_that_stands_still_is_followed_by_the_gain_for_a_place_off_by_noise() -> None:
+@pytest.mark.parametrize("lag_s", [0.0, 0.004])
+def test_an_encoder_that_stands_still_is_followed_by_the_gain_for_a_place_off_by_noise(lag_s: float) -> None:
+    """Whatever it shows, it has no speed, so that older samples show the same."""
     truth = estimate()
     one = change(0.0, truth)
     shown = truth.position - truth.plant.a12 * 50.0 + 0.3
     for _ in range(2):
-        one.update(shown, 5.0, 99.0, 0.0, surprise(truth))
+        one.update(shown, 5.0, 99.0, lag_s, surprise(truth))
     left = 0.3 * (1.0 - kalman_gain(truth.plant, NOISE).current[0])
     assert one.own_sum == pytest.approx(0.93 * 0.3**2 + left**2)
 
@@ -284,3 +286,9 @@ def test_on_a_short_tick_the_noise_of_more_samples_counts() -> None:
     for own, expected in ((0.0590, True), (0.0593, False)):
         one.own_sum = own
         assert one.explains(0.125, 1.0, 0.01) is expected
+
+
+def test_unless_told_otherwise_it_begins_anew_from_the_model() -> None:
+    one = EncoderChange(2.0, PLANT, 0.01, NOISE)
+    one.update(3.0, 0.0, 0.0, 0.0, Surprise(0.0, NEVER, estimate(70.0), estimate(90.0), LATE))
+    assert one.reckon().velocity == 70.0

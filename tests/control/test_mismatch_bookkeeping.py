@@ -43,8 +43,10 @@ class ByHand:
         self.model = model
         self.accepted = [slow_observer(deviating(PLANT, one), PERIOD_S, NOISE) for one in ACCEPTED]
         self.gains = [slow_observer(deviating(PLANT, gain.plant, gain.factor), PERIOD_S, NOISE) for gain in OTHER_GAINS]
-        self.changes = [EncoderChange(factor, PLANT, PERIOD_S, NOISE) for factor in CHANGE_FACTORS]
-        self.changes += [EncoderChange(f, PLANT, PERIOD_S, NOISE, follows_likeliest=True) for f in (-1.0, 0.5, 2.0)]
+        chosen = [*((factor, False) for factor in CHANGE_FACTORS), (-1.0, True), (0.5, True), (2.0, True)]
+        self.changes = [
+            EncoderChange(factor, PLANT, PERIOD_S, NOISE, follows_likeliest=follows) for factor, follows in chosen
+        ]
         for observer in (*self.accepted, *self.gains):
             observer.continue_from(model)
         for change in self.changes:
@@ -331,3 +333,20 @@ def test_a_start_brings_the_effort_that_has_acted_to_the_plants_whose_effort_is_
     assert test._accepted_sums[0] == pytest.approx(0.0, abs=1e-18)
     assert test._accepted_sums[6] == pytest.approx(0.0, abs=1e-18)
     assert model.velocity == pytest.approx(90.0)
+
+
+def test_a_start_without_an_effort_is_one_at_which_none_has_acted() -> None:
+    test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
+    test.start(model)
+    for _ in range(5):
+        test.update(0.0, 0.0, model, 0.0)
+    assert test._accepted_sums == [0.0] * len(ACCEPTED)
+
+
+@pytest.mark.parametrize(("sample", "is_sure"), [(0.124, True), (0.126, False), (-0.126, False)])
+def test_it_is_sure_while_an_accepted_plant_is_surprised_by_no_more_than_what_decides(
+    sample: float, is_sure: bool
+) -> None:
+    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test.update(sample, 0.0, at_rest(), 0.0)
+    assert test.is_sure is is_sure

@@ -93,6 +93,7 @@ def test_the_noise_that_is_assumed_is_the_only_scale_at_rest() -> None:
 def test_it_begins_without_evidence_for_anything() -> None:
     test = ModelTest(PLANT, PERIOD_S, NOISE)
     assert test.surprise == 0.0
+    assert test.is_sure
     assert test.better_factor is None
 
 
@@ -118,6 +119,7 @@ def test_the_sums_are_those_of_the_best_accepted_plant_and_of_each_other_gain() 
     gains = [observer(factor * plant.gain, plant.pole) for factor, plant in OTHER_GAINS]
     test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
     total, sums, before = 0.0, [0.0] * len(gains), 0.0
+    accepted_sums, still_sum, last = [0.0] * len(accepted), 0.0, 0.0
     for n in range(12):
         sample, effort = 0.03 * n * n, 1.0 + n
         model.update(sample, effort)
@@ -128,7 +130,11 @@ def test_the_sums_are_those_of_the_best_accepted_plant_and_of_each_other_gain() 
         for index, one in enumerate(gains):
             one.update(sample, effort)
             sums[index] = 0.93 * sums[index] + one.innovation**2
-        before = effort
+        accepted_sums = [0.93 * old + one.innovation**2 for old, (one, _) in zip(accepted_sums, accepted, strict=True)]
+        still_sum = 0.93 * still_sum + (sample - last) ** 2
+        before, last = effort, sample
+    assert test._accepted_sums == pytest.approx(accepted_sums)
+    assert test._still_sum == pytest.approx(still_sum)
     assert test.surprise == pytest.approx(total**0.5)
     assert test._sums == pytest.approx(sums)
 
