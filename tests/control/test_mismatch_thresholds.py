@@ -85,6 +85,12 @@ def test_dates_that_may_be_off_hide_a_quarter_of_what_they_may_at_the_speed_of_l
     assert test._least == pytest.approx(0.2)
 
 
+def test_unless_told_otherwise_dates_are_right_at_any_speed() -> None:
+    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test.update(0.0, 0.0, at_rest(), 100.0)
+    assert test._least == pytest.approx(0.125)
+
+
 def test_the_noise_that_is_assumed_is_the_only_scale_at_rest() -> None:
     quiet = ModelTest(PLANT, PERIOD_S, NoiseModel(measurement_variance=1e-6))
     assert quiet._least == pytest.approx(1.25e-3)
