@@ -71,7 +71,7 @@ def test_the_model_test_is_of_the_same_plant() -> None:
     model = demo().settings.plant
     expected = [
         Plant(factor * plant.gain * model.gain, plant.pole * model.pole).discretise(PERIOD_S).b1
-        for factor, plant in OTHER_GAINS
+        for factor, plant, _ in OTHER_GAINS
     ]
     assert [observer.position for observer in test._gains] == pytest.approx(expected)
 

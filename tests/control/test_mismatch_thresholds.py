@@ -122,7 +122,7 @@ def test_the_sums_are_those_of_the_best_accepted_plant_and_of_each_other_gain() 
         return DisturbanceObserver(sampled, kalman_gain(sampled, slow).predictor)
 
     accepted = [(observer(gain, pole), delay) for gain, pole, delay in ACCEPTED]
-    gains = [observer(factor * plant.gain, plant.pole) for factor, plant in OTHER_GAINS]
+    gains = [observer(factor * plant.gain, plant.pole) for factor, plant, _ in OTHER_GAINS]
     test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
     total, sums, before = 0.0, [0.0] * len(gains), 0.0
     accepted_sums, still_sum, last = [0.0] * len(accepted), 0.0, 0.0

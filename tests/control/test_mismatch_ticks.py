@@ -41,7 +41,8 @@ def test_a_wrong_gain_is_told_on_any_tick_on_the_same_way(period_s: float, facto
 
 @pytest.mark.parametrize("period_s", [*TICKS_S, 0.01])
 def test_a_sign_is_told_from_rest_on_a_plant_that_is_off_its_model(period_s: float) -> None:
-    """With the model's own plant alone it explained the samples less than eight times better, for any distance."""
+    """With the model's own plant alone, observers slow enough for a tick of 2 ms explained it less than eight times
+    better than the accepted plants, for as far as 960 mm."""
     gain, pole = OFF_MODEL
     bench = Bench(-gain, pole, period_s)
     assert told_after(bench, ramp(period_s))[0] == -1.0

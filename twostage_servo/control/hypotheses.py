@@ -35,10 +35,13 @@ class OtherGain(NamedTuple):
         How many times as much it shows of the motion.
     plant
         Whose motion that is.
+    evidence
+        How many times smaller its sum of squares has to be than that of the best accepted plant.
     """
 
     factor: float
     plant: Deviation
+    evidence: float
 
 
 _PLANTS: Final = (
@@ -50,16 +53,18 @@ ACCEPTED: Final = (*_PLANTS, *(plant._replace(is_delayed=True) for plant in _PLA
 """Plants that are good enough: the model first."""
 
 OTHER_GAINS: Final = (
-    OtherGain(-1.0, Deviation(1.0, 1.0)),
-    OtherGain(-1.0, Deviation(1.3, 0.7)),
-    OtherGain(-1.0, Deviation(0.7, 1.0)),
-    OtherGain(0.45, Deviation(1.0, 1.0)),
-    OtherGain(0.5, Deviation(1.0, 1.0)),
-    OtherGain(2.0, Deviation(1.0, 1.0)),
-    OtherGain(2.2, Deviation(1.0, 1.0)),
+    OtherGain(-1.0, Deviation(1.0, 1.0), evidence=8.0),
+    OtherGain(-1.0, Deviation(1.3, 0.7), evidence=8.0),
+    OtherGain(-1.0, Deviation(0.7, 1.0), evidence=8.0),
+    OtherGain(0.45, Deviation(1.0, 1.0), evidence=5.0),
+    OtherGain(0.5, Deviation(1.0, 1.0), evidence=30.0),
+    OtherGain(2.0, Deviation(1.0, 1.0), evidence=5.0),
+    OtherGain(2.2, Deviation(1.0, 1.0), evidence=5.0),
 )
 """Gains that are not. A sign is told from as little as it takes on a plant that is off its model too. A factor of two,
-either way, is what a wrong setting of a decoder or a gear makes; beyond that come 0.45 and 2.2."""
+either way, is what a wrong setting of a decoder or a gear makes; beyond that come 0.45 and 2.2. Half the gain takes
+more: while a plant with 30 % less gain and a pole 30 % higher speeds up, it explains that up to 23 times better than
+each accepted plant does."""
 
 CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 """How many times as much the encoder counts after a change."""
@@ -76,8 +81,8 @@ quickly, to follow every load; what is slower keeps the difference between two p
 
 _LEAST_DELAY_S: Final = 0.005
 _LARGEST_DELAY_S: Final = 0.01
-"""How much later than the model says an effort may act: a tick, but no less than the cycle of a usual drive's firmware,
-and no more than what a bus and two such cycles make."""
+"""How much later than the model says an effort may act: a tick; on shorter ticks as many of them as come nearest to the
+cycle of a usual drive's firmware, and no more than what a bus and two such cycles make."""
 
 
 def forgetting(period_s: float) -> float:

@@ -34,16 +34,9 @@ from twostage_servo.control.hypotheses import (
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel
 from twostage_servo.control.plant import Plant
 
-SIGN_EVIDENCE: Final = 8.0
-SCALE_EVIDENCE: Final = 5.0
-"""How many times smaller the sum of squares of another sign or scale has to be than that of the best accepted plant."""
-
-HALF_EVIDENCE: Final = 30.0
-"""The same for half the gain: while a plant with 30 % less gain and a pole 30 % higher speeds up, that explains it up
-to 23 times better than each accepted one does."""
-
 STILL_EVIDENCE: Final = 4.0
-"""How many times smaller it has to be than that of an encoder that stands still, and shows nothing but noise."""
+"""How many times smaller the sum of squares of another gain has to be than that of an encoder that stands still, and
+shows nothing but noise."""
 
 BETTER_SHARE: Final = 0.4
 """Share of the model's sum of squares below which another accepted plant is taken for the true one."""
@@ -63,11 +56,6 @@ OPENING_DEVIATIONS: Final = 3.0
 
 OPENING_SHARE: Final = 0.4
 """Share of the surprise below which nothing is decided, from which it is: what is less may be the model's error."""
-
-
-_EVIDENCE: Final = tuple(
-    SIGN_EVIDENCE if factor < 0.0 else HALF_EVIDENCE if factor == 0.5 else SCALE_EVIDENCE for factor, _ in OTHER_GAINS
-)
 
 
 class ModelTest:
@@ -106,7 +94,7 @@ class ModelTest:
             for deviation in ACCEPTED
         ]
         self._gains = [
-            slow_observer(deviating(plant, deviation, factor), period_s, noise) for factor, deviation in OTHER_GAINS
+            slow_observer(deviating(plant, other.plant, other.factor), period_s, noise) for other in OTHER_GAINS
         ]
         self._changes = [
             *(EncoderChange(factor, plant, period_s, noise) for factor in CHANGE_FACTORS),
@@ -242,7 +230,7 @@ class ModelTest:
         likeliest = max(self._changes, key=EncoderChange.evidence)
         if self._certain(likeliest.factor):
             return likeliest.factor
-        needed = [evidence * total for evidence, total in zip(_EVIDENCE, self._sums, strict=True)]
+        needed = [other.evidence * total for other, total in zip(OTHER_GAINS, self._sums, strict=True)]
         least = min(needed)
         best = needed.index(least)
         if STILL_EVIDENCE * self._sums[best] >= self._still_sum:  # an encoder that stands still explains as much

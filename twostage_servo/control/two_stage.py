@@ -35,6 +35,7 @@ ENDING_SHARE = 0.25
 sample shows that speed does not reverse a plant with 30 % more gain, or with a period of delay more."""
 
 _ENDING_S = 0.01
+"""The time that :data:`ENDING_SHARE` is for, in s."""
 
 REST_TICKS = 3
 """Periods for which the speed has to be low before a stop is done: one may be the estimate's own noise."""

@@ -184,7 +184,10 @@ class Desk:
             case HomeRequest(position=position):
                 station = self.station(request.axis)
                 with self._named(station):
-                    station.axis.home() if position is None else station.axis.set_position(position)
+                    if position is None:
+                        station.axis.home()
+                    else:
+                        station.axis.set_position(position)
             case ReloadRequest():
                 self._reload(client)
 
