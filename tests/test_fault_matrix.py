@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from twostage_servo.faults.campaign import Cell
+from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.report import as_markdown, rounded
 from twostage_servo.faults.runner import Result
 

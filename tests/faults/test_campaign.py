@@ -22,7 +22,8 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import main
 from twostage_servo.config import load
 from twostage_servo.control.two_stage import TwoStageLaw
-from twostage_servo.faults.campaign import Campaign, Cell, NotApplicable
+from twostage_servo.faults.campaign import Campaign
+from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.report import as_json, as_markdown, as_page, as_text
 from twostage_servo.faults.runner import Result

@@ -10,7 +10,9 @@ import pytest
 
 from twostage_servo.axis.machine import Machine as AxisMachine
 from twostage_servo.config import Config, LoadedConfig, load
-from twostage_servo.faults.campaign import Campaign, Cell
+from twostage_servo.faults.campaign import Campaign
+from twostage_servo.faults.cell import Cell
+from twostage_servo.faults.limits import Motion
 from twostage_servo.faults.table import BRAKED, TABLE, Phase
 from twostage_servo.faults.world import World
 from twostage_servo.machine import load_machine
@@ -165,7 +167,9 @@ def test_what_a_drive_cannot_have_is_not_applicable_and_says_why() -> None:
 @pytest.mark.parametrize(("name", "states"), [("demo", False), ("metres", False), ("example2", True)])
 def test_a_halved_scale_is_a_stated_limit_only_where_it_hides_what_the_model_is_off_by(name: str, states: bool) -> None:
     halved = next(fault for fault in TABLE if fault.name == "scale halved")
-    assert bool(halved.limit(load(configuration(name)).config)) is states
+    campaign = Campaign(load(configuration(name)), seed=1)
+    config = campaign.loaded.config
+    assert bool(halved.limit(Motion(config, campaign.design, config.axis.cruise_velocity))) is states
     assert len(halved.phases) <= 10
 
 
@@ -237,3 +241,15 @@ def test_an_axis_that_trips_with_another_is_told(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(AxisMachine, "__init__", remember)
     monkeypatch.setattr(AxisMachine, "raise_trip", trip_both)
     assert "axis y tripped as well" in campaign.run(fault, Phase.CRUISING).wrong
+
+
+def test_a_search_slower_than_a_change_shows_is_a_stated_limit_and_a_faster_motion_is_none() -> None:
+    """On a tick of 1 ms `check` says 31 mm/s; the search goes 20 mm/s and a little more, the cruise 100 mm/s."""
+    campaign = Campaign(load(None, ["service.tick_ms=1"]), seed=1)
+    halved = next(fault for fault in TABLE if fault.name == "scale halved")
+    cell = campaign.run(halved, Phase.HOMING)
+    assert (cell.met, cell.expected, cell.observed) == (True, "Q", "T")
+    assert "certain_from_velocity" in cell.limit
+    for fault in (fault for fault in TABLE if fault.number in {21, 22}):
+        assert fault.limit(Motion(campaign.loaded.config, campaign.design, 100.0)) == ""
+        assert fault.limit(Motion(campaign.loaded.config, campaign.design, 20.0))

@@ -28,12 +28,13 @@ from twostage_servo.canbus.link import BusSettings
 from twostage_servo.canbus.profile import Feedback
 from twostage_servo.config import load
 from twostage_servo.faults import approach, bench, power_cut
-from twostage_servo.faults.campaign import Cell, NotOperableError
+from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.hosted import HostedRun
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import Listener, Operator, Order, RefusalError, Report, Snapshot
 from twostage_servo.faults.plan import plan_target
 from twostage_servo.faults.processes import HostedFault, hosted_cells, run_hosted
+from twostage_servo.faults.script import NotOperableError
 from twostage_servo.faults.table import Phase
 from twostage_servo.faults.watchdog import Watchdog
 from twostage_servo.service.assembly import compile_profile, design

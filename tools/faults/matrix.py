@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from twostage_servo.faults.campaign import Cell
+from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.report import as_markdown, describe, rounded
 from twostage_servo.faults.runner import run_campaign
 

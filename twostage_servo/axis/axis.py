@@ -1,6 +1,8 @@
 """One axis: what an operator may ask of it; what it does then, tick by tick, is in the module ``machine``."""
 
 import math
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Literal
 
 from twostage_servo.axis.admission import say_tripped
@@ -31,9 +33,16 @@ class Axis(Machine):
         *,
         heartbeat: bool = False,
         tells_enabled: bool = True,
+        fault_texts: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
         super().__init__(
-            design, counter_modulus, position_period, resolution, heartbeat=heartbeat, tells_enabled=tells_enabled
+            design,
+            counter_modulus,
+            position_period,
+            resolution,
+            heartbeat=heartbeat,
+            tells_enabled=tells_enabled,
+            fault_texts=fault_texts,
         )
         self.duration = move_duration(design)
         self._moves = 0

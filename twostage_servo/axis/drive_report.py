@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 
 from twostage_servo.axis.drive_states import DriveState, DriveStateComparison
 from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
@@ -34,6 +35,8 @@ class DriveReport:
         Width in axis unit of the range in which the encoder counts before it rolls over; 0 if it does not.
     heartbeat
         Whether the drive has a heartbeat, which is then missed from the first tick on.
+    fault_texts
+        What the drive's fault codes mean, as far as that is known.
 
     Attributes
     ----------
@@ -46,8 +49,6 @@ class DriveReport:
         Whether the drive says it is enabled; None where it does not tell.
     fault_code
         The drive's fault code while it reports a fault, else None.
-    fault_texts
-        What the drive's fault codes mean, as far as that is known.
     faulted
         Whether the drive says that it has a fault; None where it does not tell.
     safe_torque_off, positive_limit, negative_limit, home_switch
@@ -78,6 +79,7 @@ class DriveReport:
         position_period: float = 0.0,
         *,
         heartbeat: bool = False,
+        fault_texts: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
         self.monitor = FeedbackMonitor(counter_modulus)
         self.states = DriveStateComparison(settings, period_s)
@@ -95,7 +97,7 @@ class DriveReport:
         self.boots = 0
         self.fresh = False
         self.told_state = self.told_present_state = False
-        self.fault_texts: Mapping[int, str] = {}
+        self._fault_texts = fault_texts
         self._settings = settings
         self._period_ms = 1e3 * period_s
         self._position_period = position_period
@@ -321,7 +323,7 @@ class DriveReport:
 
     def _say_fault(self) -> str:
         code = self.fault_code
-        text = None if code is None else self.fault_texts.get(code)
+        text = None if code is None else self._fault_texts.get(code)
         return f"fault code {code}" + (f" ({text})" if text else "")
 
     def _why_late(self) -> str:

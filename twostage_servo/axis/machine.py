@@ -1,5 +1,7 @@
 """The machine inside an axis: its state, its trips, and what it does on each tick."""
 
+from collections.abc import Mapping
+
 from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.count_watch import CountWatch
 from twostage_servo.axis.design import AxisDesign
@@ -36,6 +38,8 @@ class Machine:
         Whether the drive has a heartbeat.
     tells_enabled
         Whether the drive's feedback tells whether it is enabled.
+    fault_texts
+        What the drive's fault codes mean, as far as that is known.
 
     Attributes
     ----------
@@ -70,11 +74,19 @@ class Machine:
         *,
         heartbeat: bool,
         tells_enabled: bool,
+        fault_texts: Mapping[int, str],
     ) -> None:
         self.design = design
         self.settings = design.settings
         self.state = State.DISARMED
-        self.drive = DriveReport(self.settings, design.period_s, counter_modulus, position_period, heartbeat=heartbeat)
+        self.drive = DriveReport(
+            self.settings,
+            design.period_s,
+            counter_modulus,
+            position_period,
+            heartbeat=heartbeat,
+            fault_texts=fault_texts,
+        )
         report_period_ms = 0.0 if tells_enabled else self.settings.limits.heartbeat_ms
         self.disabled = DisabledDriveWatch(design, resolution, report_period_ms)
         self.motion = Motion(design, self.drive, resolution)

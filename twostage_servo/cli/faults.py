@@ -9,7 +9,7 @@ from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, not
 from twostage_servo.cli.typed_numbers import whole
 
 if TYPE_CHECKING:
-    from twostage_servo.faults.campaign import Cell
+    from twostage_servo.faults.cell import Cell
 
 _PHASES = (
     "idle", "accelerating", "cruising", "change-over", "settling", "holding", "homing", "jogging", "stopping",
@@ -40,9 +40,9 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 
 def _faults(options: argparse.Namespace) -> ExitCode:
-    from twostage_servo.faults.campaign import NotOperableError
     from twostage_servo.faults.report import as_json, as_page, as_text
     from twostage_servo.faults.runner import run_campaign
+    from twostage_servo.faults.script import NotOperableError
     from twostage_servo.faults.table import Phase
 
     if not 0 <= options.seed < 2**63:

@@ -13,7 +13,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.faults.approach import Approach, distance
 from twostage_servo.faults.bench import Bench
 from twostage_servo.faults.budget import Budget, Reference
-from twostage_servo.faults.campaign import Cell
+from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.launch import LONGEST_S
 from twostage_servo.faults.listening import Order, Snapshot
 from twostage_servo.faults.table import DISABLED, HELD, TOLERATED, Phase

@@ -13,10 +13,11 @@ from random import Random
 from typing import NamedTuple
 
 from twostage_servo.faults.bench import BenchError
-from twostage_servo.faults.campaign import Cell, NotOperableError
+from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.hosted import ENDED, HUNG, KILLED, STOPPED, HostedRun
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import RefusalError
+from twostage_servo.faults.script import NotOperableError
 from twostage_servo.faults.table import ALL, TOLERATED, Phase
 
 POWER_CUT = 54

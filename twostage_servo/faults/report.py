@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from twostage_servo.faults.campaign import Cell, NotApplicable
+from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.runner import Result
 from twostage_servo.faults.table import ALL, BRAKED, MEANINGS, PROCESS_FAULTS, SEARCHING, TABLE
 

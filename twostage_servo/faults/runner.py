@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twostage_servo.faults.campaign import Campaign, Cell, NotApplicable
+from twostage_servo.faults.campaign import Campaign
+from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE, Phase
 from twostage_servo.machine import load_machine

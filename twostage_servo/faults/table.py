@@ -7,12 +7,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from random import Random
 
-from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
 from twostage_servo.config import Config
 from twostage_servo.control.hypotheses import ACCEPTED, OTHER_GAINS
-from twostage_servo.control.mismatch import NOISE_SHARE
 from twostage_servo.faults import bus_faults, client_faults, drive_faults, host_faults, resource_faults
 from twostage_servo.faults.budget import Budget
 from twostage_servo.faults.checks import (
@@ -35,6 +33,7 @@ from twostage_servo.faults.checks import (
     told_in_time,
     within_jam_effort,
 )
+from twostage_servo.faults.limits import Limit, either, hidden_by_noise, looks_like_the_model, too_slow
 from twostage_servo.faults.world import World
 
 
@@ -137,13 +136,11 @@ class Fault:
         A more severe reaction that may take the place of the expected one: where it travels less, or where the fault
         keeps the expected one from working.
     limit
-        What one encoder cannot tell on an axis, so that the fault may be tolerated there; empty where it can.
+        What one encoder cannot tell in a motion, so that the fault may be tolerated there; empty where it can.
     limit_bound
         The travel that it may cost then, in axis unit.
     shared
         Whether it is a fault of what all axes of a machine share, so that another axis may trip by it as well.
-    takes_speed
-        Whether it shows only from the speed on that `check` states, and may be tolerated below.
     note
         What the reader of the matrix should know.
     """
@@ -166,10 +163,9 @@ class Fault:
     velocity_limit: bool = False
     shows_s: Callable[[Config], float] = lambda _: 0.0
     instead: str = ""
-    limit: Callable[[Config], str] = lambda _: ""
+    limit: Limit = lambda _: ""
     limit_bound: Bound | None = None
     shared: bool = False
-    takes_speed: bool = False
     note: str = ""
 
     def budget(self, phase: Phase, expected: str) -> Bound:
@@ -299,38 +295,6 @@ def _tells_faults(_: DriveProfile, protocol: ProtocolSettings) -> bool:
     return protocol.feedback.fault is not False or protocol.feedback.fault_code is not False
 
 
-def _looks_like_the_model(factor: float) -> Callable[[Config], str]:
-    """Say where a plant off its model looks as if it were not, once the encoder counts so many times as much."""
-
-    def limit(config: Config) -> str:
-        model, true = config.axis.plant, config.simulation
-        share = factor * (true.gain / true.pole) / (model.gain / model.pole)
-        if abs(share - 1.0) > MODEL_ERROR:
-            return ""
-        return (
-            f"in a cruise the true plant goes {share / factor:.0%} of what its model says, so the encoder shows "
-            f"{share:.0%} of it, which is nearer to the model than before: one encoder cannot tell"
-        )
-
-    return limit
-
-
-_LOUD_NOISE = 0.1
-"""Share of what hides everything, from which noise hides a scale that has no cruise to show in."""
-
-
-def _hidden_by_noise(config: Config) -> str:
-    """Say where the encoder's noise hides a scale that is another one from rest on."""
-    noise = config.simulation.noise_std
-    hides = NOISE_SHARE * config.axis.observer.measurement_variance**0.5
-    if noise < _LOUD_NOISE * hides:
-        return ""
-    return (
-        f"the noise of {noise:g} {config.axis.unit} makes as much of a surprise as another scale does while the axis "
-        "sets out, and in a cruise a scale that has been there from rest on looks like a load: one encoder cannot tell"
-    )
-
-
 _LEAST_GAIN = math.sqrt(
     min(plant.gain for plant in ACCEPTED) * min(one.factor for one in OTHER_GAINS if one.factor > 0.0)
 )
@@ -394,12 +358,12 @@ TABLE: tuple[Fault, ...] = (
     Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
           again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
     Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
-          check=noticed_early, again=True, takes_speed=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
+          check=noticed_early, again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=too_slow),
     Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True,
-          takes_speed=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_hidden_by_noise),
+          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=either(too_slow, hidden_by_noise)),
     Fault(22, "scale halved", _D.scaled(0.5), QUICK, lambda budget: budget.halved_scale(), idle=QUICK, again=True,
-          takes_speed=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=_looks_like_the_model(0.5),
-          limit_bound=lambda budget: budget.hidden_scale()),
+          phases=(*EVERYWHERE, *BRAKED), instead=DISABLED,
+          limit=either(too_slow, looks_like_the_model(0.5)), limit_bound=lambda budget: budget.hidden_scale()),
     Fault(23, "position invalid", _D.not_a_number, QUICK, _stale, needs=lambda profile, _: profile.can_say_invalid,
           reason="the drive's position signal has no value that says it is invalid"),
     Fault(24, "slow drift", _D.drift, TOLERATED, _followed,

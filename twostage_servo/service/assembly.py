@@ -113,18 +113,17 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames
     designed = design(loaded, tick_s)
     try:
         check_detection(designed)
-        axis = Axis(
+        return Axis(
             designed,
             profile.counter_modulus,
             profile.position_period,
             profile.position_quantum,
             heartbeat=profile.heartbeat_id is not None,
             tells_enabled=loaded.config.protocol.feedback.enabled is not False,
+            fault_texts=profile.fault_texts,
         )
     except DesignError as error:
         raise loaded.problem(error.key, str(error)) from error
-    axis.drive.fault_texts = profile.fault_texts
-    return axis
 
 
 def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames, tick_s: float) -> None:

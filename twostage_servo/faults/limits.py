@@ -1,0 +1,78 @@
+"""What one encoder cannot tell, so that a fault may be tolerated there: each with the reason, for the docs."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.detection import slowest_certain_velocity
+from twostage_servo.config import Config
+from twostage_servo.control.mismatch import NOISE_SHARE
+
+
+class Motion(NamedTuple):
+    """The motion that a fault falls into, as it is without the fault.
+
+    Attributes
+    ----------
+    config, design
+        The axis.
+    speed
+        Its largest, in axis unit/s.
+    """
+
+    config: Config
+    design: AxisDesign
+    speed: float
+
+
+Limit = Callable[[Motion], str]
+"""Says what one encoder cannot tell in a motion; empty where it can."""
+
+
+def either(*limits: Limit) -> Limit:
+    """Say what the first of some limits says that says anything."""
+    return lambda motion: next(filter(None, (limit(motion) for limit in limits)), "")
+
+
+def too_slow(motion: Motion) -> str:
+    """Say where an axis is slower than the speed from which on `check` says that a change of its encoder shows."""
+    certain, unit = slowest_certain_velocity(motion.design), motion.config.axis.unit
+    if motion.speed >= certain:
+        return ""
+    return (
+        f"the axis goes {motion.speed:.3g} {unit}/s at most, and a change of its encoder shows from {certain:.3g} "
+        f"{unit}/s on (`check`, certain_from_velocity)"
+    )
+
+
+def looks_like_the_model(factor: float) -> Limit:
+    """Say where a plant off its model looks as if it were not, once the encoder counts so many times as much."""
+
+    def limit(motion: Motion) -> str:
+        model, true = motion.config.axis.plant, motion.config.simulation
+        share = factor * (true.gain / true.pole) / (model.gain / model.pole)
+        if abs(share - 1.0) > MODEL_ERROR:
+            return ""
+        return (
+            f"in a cruise the true plant goes {share / factor:.0%} of what its model says, so the encoder shows "
+            f"{share:.0%} of it, which is nearer to the model than before: one encoder cannot tell"
+        )
+
+    return limit
+
+
+_LOUD_NOISE = 0.1
+"""Share of what hides everything, from which noise hides a scale that has no cruise to show in."""
+
+
+def hidden_by_noise(motion: Motion) -> str:
+    """Say where the encoder's noise hides a scale that is another one from rest on."""
+    config = motion.config
+    noise = config.simulation.noise_std
+    hides = NOISE_SHARE * config.axis.observer.measurement_variance**0.5
+    if noise < _LOUD_NOISE * hides:
+        return ""
+    return (
+        f"the noise of {noise:g} {config.axis.unit} makes as much of a surprise as another scale does while the axis "
+        "sets out, and in a cruise a scale that has been there from rest on looks like a load: one encoder cannot tell"
+    )
