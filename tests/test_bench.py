@@ -35,8 +35,8 @@ from bench import (
 from bench.children import ChildError
 from bench.plan import FULL, QUICK
 
+from twostage_servo.api.request_reading import BadRequestError, parse_request
 from twostage_servo.cli.output import CommandError, ExitCode
-from twostage_servo.service.request_reading import BadRequestError, parse_request
 from twostage_servo.simulation.virtual_clock import run as simulate
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from typing import get_args
 import pytest
 from can import Message
 
+from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.profile import DriveProfile, Feedback
@@ -18,7 +19,6 @@ from twostage_servo.config import load
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE
 from twostage_servo.paper.errata import errata_table
 from twostage_servo.service.assembly import build_service
-from twostage_servo.service.requests import Request
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.service.status_line import WORDS
 

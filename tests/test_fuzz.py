@@ -15,9 +15,9 @@ import pytest
 import structlog
 from pydantic import BaseModel
 
+from twostage_servo.api.requests import Request
 from twostage_servo.canbus.profile import DriveProfile, Feedback, FrameRejected, ProtocolSettings
 from twostage_servo.config import ConfigError, load
-from twostage_servo.service.requests import Request
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 

@@ -22,8 +22,10 @@ MAY_IMPORT = {
     "canbus": {"control"},
     "simulation": {"canbus", "control"},
     "host": set[str](),
-    "service": {"axis", "canbus", "control", "config", "machine", "host"},
+    "api": set[str](),
+    "service": {"api", "axis", "canbus", "control", "config", "machine", "host"},
     "faults": {
+        "api",
         "axis",
         "canbus",
         "control",
@@ -34,7 +36,19 @@ MAY_IMPORT = {
         "cli",
     },  # its children are whole programs
     "paper": {"control"},
-    "cli": {"axis", "canbus", "control", "simulation", "service", "host", "config", "machine", "faults", "paper"},
+    "cli": {
+        "api",
+        "axis",
+        "canbus",
+        "control",
+        "simulation",
+        "service",
+        "host",
+        "config",
+        "machine",
+        "faults",
+        "paper",
+    },
     # config only composes the rooms' settings; it may take nothing else from them (see below).
     "config": {
         "axis",

@@ -7,11 +7,11 @@ from contextlib import ExitStack
 
 import pytest
 
+from twostage_servo.api.requests import StopRequest
 from twostage_servo.service.connection import Connection
 from twostage_servo.service.connections import MOST, Connections
 from twostage_servo.service.newcomers import FAIR_CHANCE_S, MOST_SILENT, MOST_WAITING, Newcomers
 from twostage_servo.service.request_age import RequestAge
-from twostage_servo.service.requests import StopRequest
 from twostage_servo.simulation.virtual_clock import run
 
 

@@ -22,14 +22,14 @@ from hypothesis import strategies as st
 
 from tests.service.operators import connect, serve
 from tests.service.rig import World, simulate
+from twostage_servo.api.address import find_socket, own_socket, prepare_folder
+from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import State
 from twostage_servo.service import answers
-from twostage_servo.service.address import find_socket, own_socket, prepare_folder
 from twostage_servo.service.answers import encode
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, _Door
 from twostage_servo.service.recorder import Record, Recorder
 from twostage_servo.service.request_handler import Asker, Reply
-from twostage_servo.service.requests import Request
 from twostage_servo.service.turns import Rank
 
 
@@ -360,7 +360,7 @@ def test_who_may_not_enter_the_folder_of_the_socket_is_told_so() -> None:
         "import os, sys\n"
         "from pathlib import Path\n"
         "from twostage_servo.cli.client import Client\n"
-        "from twostage_servo.service import address\n"
+        "from twostage_servo.api import address\n"
         "address.SYSTEM_SOCKET = Path(sys.argv[1])\n"
         "os.setresuid(65534, 65534, 65534)\n"
         "Client(address.find_socket())\n"

@@ -6,10 +6,10 @@ from typing import Any
 import pytest
 import structlog
 
+from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import COMMANDED, State
 from twostage_servo.service.desk import Desk
-from twostage_servo.service.requests import REQUESTS
 from twostage_servo.simulation.virtual_clock import run as run_alone
 
 

@@ -9,6 +9,7 @@ import pytest
 import structlog
 
 from tests.service.rig import World, simulate
+from twostage_servo.api.requests import ArmRequest, MoveRequest, StatusRequest
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -16,7 +17,6 @@ from twostage_servo.canbus.link import LinkError
 from twostage_servo.canbus.profile import Command
 from twostage_servo.config import load
 from twostage_servo.service.assembly import build_axis, put_axes_in
-from twostage_servo.service.requests import ArmRequest, MoveRequest, StatusRequest
 from twostage_servo.service.settings import stop_ms
 
 

@@ -12,10 +12,10 @@ import pytest
 
 from tests.service.operators import STATUS, Operator, call, connect, read_all, serve
 from tests.service.rig import World
+from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.request_handler import Asker, Reply
-from twostage_servo.service.requests import Request
 
 STOP = b'{"op": "stop"}\n'
 

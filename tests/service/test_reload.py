@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.service.rig import World, simulate
+from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.canbus.compiler import dbc_digest
@@ -15,7 +16,6 @@ from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.config import ConfigError, load
 from twostage_servo.machine import Machine
 from twostage_servo.service.assembly import reload_machine
-from twostage_servo.service.requests import ArmRequest, MoveRequest, ReloadRequest
 
 RELOAD = ReloadRequest(op="reload")
 DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")

@@ -14,6 +14,7 @@ import structlog
 
 from tests.service.rig import World, simulate
 from tests.service.test_reload import DEMO, change
+from twostage_servo.api.requests import ReloadRequest
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
@@ -25,7 +26,6 @@ from twostage_servo.service.assembly import frames_of
 from twostage_servo.service.axes_preparation import Job, Prepared, prepare
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.reloading import Reloading, by_a_process
-from twostage_servo.service.requests import ReloadRequest
 
 
 @pytest.fixture

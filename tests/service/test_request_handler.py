@@ -11,10 +11,10 @@ import structlog
 
 from tests.service.rig import World, simulate
 from tests.service.test_log_lines import of
+from twostage_servo.api.request_reading import parse_request
 from twostage_servo.axis.state import State
 from twostage_servo.service.request_age import RequestAge
 from twostage_servo.service.request_handler import RequestHandler
-from twostage_servo.service.request_reading import parse_request
 from twostage_servo.service.status_lines import StatusLines
 
 

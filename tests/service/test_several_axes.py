@@ -11,6 +11,7 @@ import can
 import pytest
 import structlog
 
+from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Command, Refused
 from twostage_servo.axis.state import State
@@ -21,7 +22,6 @@ from twostage_servo.config import ConfigError
 from twostage_servo.machine import load_machine
 from twostage_servo.service.assembly import build_service, reload_machine
 from twostage_servo.service.loop import ServoService
-from twostage_servo.service.requests import REQUESTS
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode

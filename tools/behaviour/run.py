@@ -21,6 +21,7 @@ from typing import Final
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.messages import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.cli.main import main as run_verb
@@ -28,7 +29,6 @@ from twostage_servo.machine import load_machine
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.log import open_log
 from twostage_servo.service.loop import ServoService
-from twostage_servo.service.requests import REQUESTS
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode

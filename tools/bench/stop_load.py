@@ -14,7 +14,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
-from twostage_servo.service.request_reading import LONGEST_LINE
+from twostage_servo.api.request_reading import LONGEST_LINE
 
 Load = Generator[None, None, None]
 """What a kind does: each step is a little of it, and does not wait."""

@@ -16,12 +16,12 @@ import can
 import structlog
 
 from fuzz.drives import Drive
+from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.control.plant import Plant
 from twostage_servo.service.assembly import build_service
-from twostage_servo.service.requests import REQUESTS
 from twostage_servo.simulation.virtual_clock import VirtualClockLoop
 from twostage_servo.ticks import Tick, Ticks
 

@@ -16,12 +16,12 @@ from fuzz.drives import all_drives
 from fuzz.outcome import Outcome
 from fuzz.reproducible import reproducible
 from fuzz.request_maker import RequestMaker, numeric_fields, request_schemas
+from twostage_servo.api.request_reading import LONGEST_LINE, BadRequestError, parse_request
 from twostage_servo.axis.state import State
 from twostage_servo.service import answers
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.request_age import RequestAge
 from twostage_servo.service.request_handler import RequestHandler
-from twostage_servo.service.request_reading import LONGEST_LINE, BadRequestError, parse_request
 from twostage_servo.service.status_lines import StatusLines
 
 PER_EPISODE = 2000

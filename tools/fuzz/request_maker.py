@@ -4,8 +4,8 @@ import random
 from functools import cache
 from typing import Any, NamedTuple
 
+from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.settings import AxisSettings
-from twostage_servo.service.requests import REQUESTS
 
 Schema = dict[str, Any]
 

@@ -40,8 +40,11 @@ ROOMS = {
             *(f"tests/service/test_{name}.py" for name in _OF_AN_AXIS),
         ),
     ),
-    "service": Room(("service",), ("tests/service", "tests/test_printable.py", "tests/canbus/test_slow_opening.py")),
-    "client": Room(("cli/client.py", "client"), ("tests/cli", "tests/client", "tests/service/test_socket_trust.py")),
+    "service": Room(
+        ("service", "api"),
+        ("tests/service", "tests/api", "tests/test_printable.py", "tests/canbus/test_slow_opening.py"),
+    ),
+    "client": Room(("cli/client.py", "client"), ("tests/cli", "tests/client", "tests/api/test_socket_trust.py")),
 }
 
 

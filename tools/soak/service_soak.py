@@ -18,12 +18,12 @@ from invariants import BrokenInvariantError, Invariants
 from pydantic import ValidationError
 from service_mishaps import ServiceMishaps
 
+from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.faults.world import World, operate
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.ending_signals import EndingSignals
-from twostage_servo.service.requests import REQUESTS
 from twostage_servo.simulation.virtual_clock import run
 
 if TYPE_CHECKING:

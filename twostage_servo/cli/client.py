@@ -11,8 +11,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from twostage_servo.api.socket_trust import check_server, find_distrust
 from twostage_servo.cli.output import CommandError, ExitCode
-from twostage_servo.service.socket_trust import check_server, find_distrust
 
 Answer = dict[str, Any]
 

@@ -269,9 +269,9 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
 
 
 def _socket_finding(path: "Path") -> "Finding":
+    from twostage_servo.api.socket_trust import find_distrust
     from twostage_servo.host.findings import Finding, Status
     from twostage_servo.host.folder_checks import folder_finding
-    from twostage_servo.service.socket_trust import find_distrust
 
     if distrust := find_distrust(path):
         return Finding("control socket", Status.FAIL, str(distrust), "set service.socket to another path")

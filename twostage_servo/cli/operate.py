@@ -85,8 +85,8 @@ def _set_point(text: str) -> tuple[str | None, float]:
 
 
 def _connect(options: argparse.Namespace) -> "Client":
+    from twostage_servo.api.address import find_socket
     from twostage_servo.cli.client import Client
-    from twostage_servo.service.address import find_socket
 
     path = options.socket or _socket_of(options.config) or find_socket()
     return Client(path, axis=getattr(options, "axis", None))

@@ -7,10 +7,10 @@ import socket
 from random import Random
 from typing import Any, Final
 
+from twostage_servo.api.request_reading import LONGEST_LINE
 from twostage_servo.axis.state import State
 from twostage_servo.faults.host_faults import stall
 from twostage_servo.faults.world import OPERATOR, World
-from twostage_servo.service.request_reading import LONGEST_LINE
 from twostage_servo.service.turns import Rank
 
 FREEZE_S: Final = 1.5

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import can
 
+from twostage_servo.api.address import own_socket
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.detection import check_detection
@@ -16,7 +17,6 @@ from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.canbus.profile import DriveProfile, Feedback, Heartbeat, ProtocolError
 from twostage_servo.config import Config, LoadedConfig
 from twostage_servo.machine import Machine
-from twostage_servo.service.address import own_socket
 from twostage_servo.service.loop import ServoService
 from twostage_servo.service.port import Port
 from twostage_servo.service.settings import ServiceSettings

@@ -10,8 +10,8 @@ from collections import deque
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from twostage_servo.api.requests import Request
     from twostage_servo.service.request_age import RequestAge
-    from twostage_servo.service.requests import Request
 
 _CREDENTIALS: Final = struct.Struct("3i")  # ucred of unix(7): process, user, group
 _DISCARDED: Final = 4

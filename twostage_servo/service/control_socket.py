@@ -19,25 +19,24 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
-from twostage_servo.service import answers
-from twostage_servo.service.connection import Connection, wake
-from twostage_servo.service.connections import MOST, Connections
-from twostage_servo.service.newcomers import Newcomers
-from twostage_servo.service.request_age import RequestAge, no_time_asleep
-from twostage_servo.service.request_handler import RequestHandler
-from twostage_servo.service.request_reading import (
+from twostage_servo.api.request_reading import (
     COMMAND_WORDS,
     LONGEST_URGENT,
     URGENT_WORDS,
     BadRequestError,
     longest_line,
     parse_request,
-    rank_of,
 )
-from twostage_servo.service.requests import Request, WatchRequest
+from twostage_servo.api.requests import Request, WatchRequest
+from twostage_servo.service import answers
+from twostage_servo.service.connection import Connection, wake
+from twostage_servo.service.connections import MOST, Connections
+from twostage_servo.service.newcomers import Newcomers
+from twostage_servo.service.request_age import RequestAge, no_time_asleep
+from twostage_servo.service.request_handler import RequestHandler
 from twostage_servo.service.socket_file import SocketFile, SocketInUseError
 from twostage_servo.service.status_lines import StatusLines
-from twostage_servo.service.turns import Rank
+from twostage_servo.service.turns import Rank, rank_of
 from twostage_servo.service.watchers import Watchers
 
 if TYPE_CHECKING:

@@ -5,11 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
-from twostage_servo.axis.messages import Refused
-from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
-from twostage_servo.service.lease import Lease
-from twostage_servo.service.recorder import Record
-from twostage_servo.service.requests import (
+from twostage_servo.api.requests import (
     READING,
     ArmRequest,
     AxisRequest,
@@ -25,6 +21,10 @@ from twostage_servo.service.requests import (
     StopRequest,
     TakeRequest,
 )
+from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
+from twostage_servo.service.lease import Lease
+from twostage_servo.service.recorder import Record
 from twostage_servo.service.together import velocities_to_arrive_together
 
 if TYPE_CHECKING:

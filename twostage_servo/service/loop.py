@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import BRAKING, ENABLED
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.desk import Desk
 from twostage_servo.service.group import Group, GroupReaction
 from twostage_servo.service.port import Port
-from twostage_servo.service.requests import Request
 from twostage_servo.service.settings import ServiceSettings, with_time_to_stop
 from twostage_servo.service.snapshot import report_service
 from twostage_servo.service.station import Station

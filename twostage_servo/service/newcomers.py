@@ -16,9 +16,9 @@ from twostage_servo.service.connection import wake
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from twostage_servo.api.requests import Request
     from twostage_servo.service.connection import Connection
     from twostage_servo.service.request_age import RequestAge
-    from twostage_servo.service.requests import Request
 
 MOST_SILENT: Final = 128
 MOST_WAITING: Final = 32

@@ -5,10 +5,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import structlog
 
-from twostage_servo.axis.messages import Refused
-from twostage_servo.service import answers
-from twostage_servo.service.recorder import Record
-from twostage_servo.service.requests import (
+from twostage_servo.api.requests import (
     READING,
     AxisRequest,
     DisarmRequest,
@@ -19,6 +16,9 @@ from twostage_servo.service.requests import (
     Request,
     StopRequest,
 )
+from twostage_servo.axis.messages import Refused
+from twostage_servo.service import answers
+from twostage_servo.service.recorder import Record
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService

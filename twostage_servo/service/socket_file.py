@@ -13,7 +13,7 @@ from typing import Final
 
 import structlog
 
-from twostage_servo.service.address import prepare_folder
+from twostage_servo.api.address import prepare_folder
 
 _LOOK_S: Final = 1.0
 """Pause between two looks at the path."""

@@ -7,6 +7,8 @@ from collections import deque
 from collections.abc import AsyncIterator
 from typing import Final
 
+from twostage_servo.api.requests import DisarmRequest, Request, StopRequest
+
 _SHARE: Final = 0.3
 """Share of a period for all requests together: who floods the service takes no more of a core, and no tick waits."""
 _SHARE_OF_CONNECTIONS: Final = 0.3
@@ -27,6 +29,11 @@ class Rank(enum.Enum):
     READING = 2
     REQUEST = 3
     WATCHING = 4
+
+
+def rank_of(request: Request) -> Rank:
+    """Return how urgent a request is, by what it asks for."""
+    return Rank.URGENT if isinstance(request, StopRequest | DisarmRequest) else Rank.REQUEST
 
 
 _SHARE_OF_READING: Final = 0.1

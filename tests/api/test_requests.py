@@ -10,10 +10,10 @@ import pytest
 
 from tests.service.operators import connect, serve
 from tests.service.rig import World
+from twostage_servo.api.request_reading import BadRequestError, parse_request
+from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.request_reading import BadRequestError, parse_request
-from twostage_servo.service.requests import Request
 
 NOT_NUMBERS = [
     "NaN",

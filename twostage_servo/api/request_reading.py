@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Any, Final
 from pydantic import ValidationError
 from pydantic_core import from_json
 
-from twostage_servo.service.requests import READING, DisarmRequest, Request, StopRequest
-from twostage_servo.service.turns import Rank
+from twostage_servo.api.requests import READING, Request
 
 if TYPE_CHECKING:
-    from twostage_servo.service.requests import AxisRequest
+    from twostage_servo.api.requests import AxisRequest
 
 LONGEST_LINE: Final = 4096
 """Bytes of a request, its end included, on a service with few axes."""
@@ -91,11 +90,6 @@ def _each_key_once(pairs: list[tuple[str, Any]]) -> None:
         if name in names:
             raise BadRequestError(f"{_short(name)} is given twice: give it once")
         names.add(name)
-
-
-def rank_of(request: Request) -> Rank:
-    """Return how urgent a request is, by what it asks for."""
-    return Rank.URGENT if isinstance(request, StopRequest | DisarmRequest) else Rank.REQUEST
 
 
 def _problems(fields: dict[str, Any], model: "type[AxisRequest]") -> Iterator[str]:

@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from twostage_servo.service.socket_trust import check_folder, find_distrust
+from twostage_servo.api.socket_trust import check_folder, find_distrust
 
 SYSTEM_SOCKET = Path("/run/twostage-servo/control.sock")
 ENVIRONMENT_VARIABLE = "TWOSTAGE_SERVO_SOCKET"

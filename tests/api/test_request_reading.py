@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from tests.service.operators import connect, serve
 from tests.service.rig import World
+from twostage_servo.api.request_reading import LONGEST_LINE, BadRequestError, longest_line, parse_request
+from twostage_servo.api.requests import DisarmRequest, MoveRequest, Request, StopRequest
 from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.request_reading import LONGEST_LINE, BadRequestError, longest_line, parse_request, rank_of
-from twostage_servo.service.requests import DisarmRequest, MoveRequest, Request, StopRequest
-from twostage_servo.service.turns import Rank
+from twostage_servo.service.turns import Rank, rank_of
 
 values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),

@@ -14,11 +14,11 @@ from typing import Any
 
 import pytest
 
+from twostage_servo.api import address, socket_trust
+from twostage_servo.api.address import find_socket
+from twostage_servo.api.socket_trust import UntrustedSocketError, check_folder, check_server, find_distrust
 from twostage_servo.cli.client import Client
 from twostage_servo.cli.output import CommandError, ExitCode
-from twostage_servo.service import address, socket_trust
-from twostage_servo.service.address import find_socket
-from twostage_servo.service.socket_trust import UntrustedSocketError, check_folder, check_server, find_distrust
 
 ME, SERVICE, EVIL, GROUP = 1000, 999, 1001, 500
 
@@ -330,7 +330,7 @@ import json, os, shutil, socket, sys, tempfile
 from pathlib import Path
 import encodings.idna, encodings.ascii, encodings.utf_8
 import twostage_servo.cli.main as main, twostage_servo.cli.client, twostage_servo.cli.operate
-import twostage_servo.service.address as address
+import twostage_servo.api.address as address
 main.build_parser()
 shared, operator, evil = Path(sys.argv[1]), 54321, 54322
 folder = shared / "servo"

@@ -1,0 +1,1 @@
+"""What crosses the control socket: requests, typed status, and where the socket is. The standard library only."""
