@@ -3,7 +3,7 @@
 import itertools
 from typing import TYPE_CHECKING
 
-from twostage_servo.simulation.virtual_clock import VirtualClockLoop
+from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -37,7 +37,7 @@ from bench.plan import FULL, QUICK
 
 from twostage_servo.api.request_reading import BadRequestError, parse_request
 from twostage_servo.cli.output import CommandError, ExitCode
-from twostage_servo.simulation.virtual_clock import run as simulate
+from twostage_servo.timing.virtual_clock import run as simulate
 
 if TYPE_CHECKING:
     from bench.machine import Service

@@ -65,7 +65,7 @@ MAY_IMPORT = {
     "settings_reference": set[str](),
     "toml_lines": set[str](),
     "settings": set[str](),
-    "ticks": set[str](),
+    "timing": set[str](),
     "__main__": {"cli"},
     "exact": set[str](),
     "printable": set[str](),
@@ -74,7 +74,7 @@ MAY_IMPORT = {
 }
 """Room or top-level module: what it may import besides itself, the package's version and what anyone may import."""
 
-ANYONE_MAY_IMPORT = {"exact", "printable", "settings", "ticks", "worker_process", "worker_thread"}
+ANYONE_MAY_IMPORT = {"exact", "printable", "settings", "timing", "worker_process", "worker_thread"}
 HEAVY = {"numpy", "scipy", "control", "can", "cantools", "pydantic", "structlog", "asyncio", "matplotlib"}
 
 

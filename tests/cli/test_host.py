@@ -14,7 +14,7 @@ from twostage_servo.config import load
 from twostage_servo.host.findings import Status
 from twostage_servo.machine import load_machine
 from twostage_servo.service.assembly import compile_profile, cyclic_frames
-from twostage_servo.simulation.virtual_clock import VirtualClockLoop
+from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
 SOCKETCAN = Path(__file__).parents[2] / "config" / "socketcan.toml"
 
@@ -29,7 +29,7 @@ class LateLoop(VirtualClockLoop):
 
 @pytest.fixture(autouse=True)
 def simulated(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("twostage_servo.ticks.real_time_loop", VirtualClockLoop)
+    monkeypatch.setattr("twostage_servo.timing.ticks.real_time_loop", VirtualClockLoop)
     monkeypatch.setattr("twostage_servo.host.realtime.Kernel", FakeKernel)
 
 
@@ -56,7 +56,7 @@ def test_latency_in_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_host_that_is_late_is_poor_and_says_what_to_do(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("twostage_servo.ticks.real_time_loop", LateLoop)
+    monkeypatch.setattr("twostage_servo.timing.ticks.real_time_loop", LateLoop)
     monkeypatch.setattr("twostage_servo.host.realtime.Kernel", lambda: FakeKernel(refused=["fifo"]))
     assert main(["latency", "--seconds", "1", "--set", "realtime.priority=50"]) == 3
     captured = capsys.readouterr()

@@ -18,9 +18,9 @@ from twostage_servo.host.latency import (
     summary_us,
 )
 from twostage_servo.host.load import _HOG, processor_load
-from twostage_servo.host.wake_margin import FixedMargin
-from twostage_servo.simulation.virtual_clock import run
-from twostage_servo.ticks import Tick, Ticks
+from twostage_servo.timing.ticks import Tick, Ticks
+from twostage_servo.timing.virtual_clock import run
+from twostage_servo.timing.wake_margin import FixedMargin
 
 PERIOD_S = 0.01
 

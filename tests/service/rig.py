@@ -19,8 +19,8 @@ from twostage_servo.service.station import Station
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
-from twostage_servo.simulation.virtual_clock import run
-from twostage_servo.ticks import Tick, Ticks
+from twostage_servo.timing.ticks import Tick, Ticks
+from twostage_servo.timing.virtual_clock import run
 
 BUS = BusSettings(interface="socketcan", channel="can0")
 """What the simulated bus stands for."""

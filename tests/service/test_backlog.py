@@ -13,7 +13,7 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.canbus.profile import Heartbeat
 from twostage_servo.simulation.bus import Wire, WireBus
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
 
 UNDATED = BusSettings(interface="virtual", channel="x")
 TCP = BusSettings(interface="socketcand", channel="can0")

@@ -8,7 +8,7 @@ import pytest
 
 from twostage_servo.service.connection import Connection, ConnectionClosedError
 from twostage_servo.service.request_age import RequestAge
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 LONGEST = 20
 STOP = (b"stop", b"disarm")

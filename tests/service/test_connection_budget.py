@@ -12,7 +12,7 @@ from twostage_servo.service.connection import Connection
 from twostage_servo.service.connections import MOST, Connections
 from twostage_servo.service.newcomers import FAIR_CHANCE_S, MOST_SILENT, MOST_WAITING, Newcomers
 from twostage_servo.service.request_age import RequestAge
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 
 class Ends:

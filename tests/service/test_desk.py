@@ -10,7 +10,7 @@ from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import COMMANDED, State
 from twostage_servo.service.desk import Desk
-from twostage_servo.simulation.virtual_clock import run as run_alone
+from twostage_servo.timing.virtual_clock import run as run_alone
 
 
 class WrittenDown:

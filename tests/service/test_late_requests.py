@@ -18,7 +18,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import _BACKLOG, ControlSocket, _Door
 from twostage_servo.service.request_age import RequestAge, time_asleep_s
 from twostage_servo.service.turns import Rank
-from twostage_servo.simulation.virtual_clock import VirtualClockLoop, run
+from twostage_servo.timing.virtual_clock import VirtualClockLoop, run
 
 FREEZE_S = 8.0
 

@@ -16,7 +16,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.trip_files import TripFiles
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 
 def test_a_service_that_ends_says_once_in_which_states() -> None:

@@ -10,8 +10,8 @@ from tests.service.rig import BUS, World, simulate
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.service.port import Port
-from twostage_servo.simulation.virtual_clock import run
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
+from twostage_servo.timing.virtual_clock import run
 
 
 @pytest.mark.parametrize("first", [0, 1])

@@ -9,12 +9,12 @@ from tests.service.rig import World, simulate
 from twostage_servo.host import realtime
 from twostage_servo.host.garbage import GarbageCollection
 from twostage_servo.host.realtime import Grant, RealtimeReport
-from twostage_servo.host.send_offset import FixedOffset
 from twostage_servo.host.settings import RealtimeSettings
-from twostage_servo.host.wake_margin import FixedMargin
 from twostage_servo.service import punctual as module
 from twostage_servo.service.punctual import punctual
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.output_offset import FixedOffset
+from twostage_servo.timing.ticks import Tick
+from twostage_servo.timing.wake_margin import FixedMargin
 
 GRANTED = Grant("cpus", "0", "0")
 REFUSED = Grant("scheduling", "SCHED_FIFO 40", "SCHED_OTHER", "the kernel refused it", "setcap cap_sys_nice+ep")
@@ -61,8 +61,8 @@ def test_the_loop_gets_the_margin_and_the_offset_that_were_asked_for() -> None:
         with punctual(world.service, settings()):
             assert isinstance(world.service.ticks.margin, FixedMargin)
             assert world.service.ticks.margin_s == pytest.approx(100e-6)
-            assert isinstance(world.service.send_offset, FixedOffset)
-            assert world.service.send_offset.offset_s == pytest.approx(300e-6)
+            assert isinstance(world.service.output_offset, FixedOffset)
+            assert world.service.output_offset.offset_s == pytest.approx(300e-6)
             assert world.service.after_tick is None
         with punctual(world.service, settings(spin="off", send_at="off")):
             told = world.service.snapshot()["realtime"]

@@ -13,8 +13,8 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link
 from twostage_servo.canbus.profile import Feedback, FrameRejected, PositionRejected
 from twostage_servo.service.receiver import Receiver
-from twostage_servo.simulation.virtual_clock import run
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
+from twostage_servo.timing.virtual_clock import run
 
 NOWHERE = Feedback(math.nan, 0, enabled=True, fault=False, fault_code=0)
 

@@ -25,7 +25,7 @@ from twostage_servo.service.loop import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")
 EXAMPLE_2 = shipped_configuration("example2.toml").read_text(encoding="utf-8")

@@ -4,7 +4,7 @@ from tests.service.rig import World, simulate
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.status_line import WORDS, StatusLine, status_line
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
 
 
 class Told:

@@ -22,7 +22,7 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.service import trip_files
 from twostage_servo.service.recorder import Record
 from twostage_servo.service.trip_files import KEPT, TripFiles, default_folder, write_file
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 Trace = list[tuple[int, str, int, bytes]]
 

@@ -18,7 +18,7 @@ from twostage_servo.service.station import Station
 from twostage_servo.service.status_lines import StatusLines
 from twostage_servo.service.turns import Rank
 from twostage_servo.service.watchers import Watchers
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 NAMES = ["a", "b", "c", "d"]
 WATCHERS = 63

@@ -15,8 +15,8 @@ from twostage_servo.simulation.bus import Wire, WireBus
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
 from twostage_servo.simulation.settings import SimulationSettings
-from twostage_servo.simulation.virtual_clock import run
-from twostage_servo.ticks import Ticks
+from twostage_servo.timing.ticks import Ticks
+from twostage_servo.timing.virtual_clock import run
 
 SETTINGS = BusSettings(interface="socketcan", channel="can0")
 FEEDBACK = Identifier(0x181, extended=False)

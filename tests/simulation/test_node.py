@@ -13,8 +13,8 @@ from twostage_servo.canbus.profile import DriveProfile, Identifier
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
 from twostage_servo.simulation.settings import SimulationSettings
-from twostage_servo.simulation.virtual_clock import run
-from twostage_servo.ticks import Ticks, real_time_loop
+from twostage_servo.timing.ticks import Ticks, real_time_loop
+from twostage_servo.timing.virtual_clock import run
 
 
 class FailingLink(Link):

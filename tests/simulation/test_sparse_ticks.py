@@ -13,7 +13,7 @@ from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
 from twostage_servo.simulation.settings import SimulationSettings
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 CYCLES = [0]
 

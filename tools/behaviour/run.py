@@ -32,7 +32,7 @@ from twostage_servo.service.loop import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 _CONFIGURATIONS: Final = Path(__file__).parents[2] / "config"
 _FAULTS: Final = {

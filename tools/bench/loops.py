@@ -12,8 +12,8 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from bench.plan import PERIOD_S
-from twostage_servo.host.wake_margin import wake_margin
-from twostage_servo.ticks import Ticks, real_time_loop
+from twostage_servo.timing.ticks import Ticks, real_time_loop
+from twostage_servo.timing.wake_margin import wake_margin
 
 Lateness = dict[str, list[float]]
 """What a loop has noted, in µs, pass by pass; under its name, and another one if it has two ways to look at it."""

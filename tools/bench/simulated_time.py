@@ -17,7 +17,7 @@ from bench.children import json_of, module
 from bench.plan import PERIOD_S, Plan
 from bench.world import operate
 from twostage_servo.service.log import open_log
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 
 def measure(plan: Plan, priority: int, note: Callable[[str], None]) -> dict[str, Any]:

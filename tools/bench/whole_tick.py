@@ -22,8 +22,8 @@ from bench.summary import percentile, summarise
 from bench.world import operate
 from twostage_servo.service.log import open_log
 from twostage_servo.service.loop import ServoService
-from twostage_servo.simulation.virtual_clock import run
-from twostage_servo.ticks import real_time_loop
+from twostage_servo.timing.ticks import real_time_loop
+from twostage_servo.timing.virtual_clock import run
 
 AXES: Final = (1, 2, 4, 8, 16, 32, 64)
 PHASES: Final = ("read", "update", "write", "publish")

@@ -22,8 +22,8 @@ from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.control.plant import Plant
 from twostage_servo.service.assembly import build_service
-from twostage_servo.simulation.virtual_clock import VirtualClockLoop
-from twostage_servo.ticks import Tick, Ticks
+from twostage_servo.timing.ticks import Tick, Ticks
+from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
 _IN_DRIVE = frozenset(DRIVEN)
 _IN_ENABLED = frozenset(ENABLED)

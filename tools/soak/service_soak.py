@@ -24,7 +24,7 @@ from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.faults.world import World, operate
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.ending_signals import EndingSignals
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis

@@ -12,7 +12,7 @@ from twostage_servo.paper.examples import SET_POINT, VELOCITY, Example
 from twostage_servo.paper.experiment import Run, simulate
 from twostage_servo.paper.frames import EXTRA_DELAY_MS, FramesComparison
 from twostage_servo.paper.methods import METHODS
-from twostage_servo.simulation.virtual_clock import VirtualClockLoop
+from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
 
 def compare_with_frames(example: Example) -> FramesComparison:

@@ -49,8 +49,8 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.cli.demonstration import Demonstration, Sample
     from twostage_servo.service.log import open_log
     from twostage_servo.service.punctual import punctual
-    from twostage_servo.simulation.virtual_clock import VirtualClockLoop
-    from twostage_servo.ticks import real_time_loop
+    from twostage_servo.timing.ticks import real_time_loop
+    from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
     if not options.fast and options.config is None:
         options.overrides = [*_PATIENCE, *options.overrides]

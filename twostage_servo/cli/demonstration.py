@@ -16,7 +16,7 @@ from twostage_servo.config import Config, LoadedConfig
 from twostage_servo.service.assembly import build_service
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
 
 _READY_S = 3.0
 """Longest wait for the first feedback, and for arming."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from twostage_servo.host.latency import Measurement, Verdict
     from twostage_servo.host.realtime import Grant, RealtimeReport
     from twostage_servo.machine import Machine
-    from twostage_servo.ticks import Tick
+    from twostage_servo.timing.ticks import Tick
 
 _LONGEST_S = 86_400.0
 _NEARLY_FULL = 0.7
@@ -106,8 +106,8 @@ def _measure(machine: "Machine", seconds: float, *, quiet: bool) -> "tuple[Measu
     from twostage_servo.host import realtime
     from twostage_servo.host.garbage import GarbageCollection
     from twostage_servo.host.latency import MeasuredMargin, measure
-    from twostage_servo.host.wake_margin import wake_margin
-    from twostage_servo.ticks import Ticks, real_time_loop
+    from twostage_servo.timing.ticks import Ticks, real_time_loop
+    from twostage_servo.timing.wake_margin import wake_margin
 
     period_s = machine.service.tick_ms / 1e3
     ticks = Ticks(period_s, margin=MeasuredMargin(wake_margin(machine.realtime.spin, period_s)))

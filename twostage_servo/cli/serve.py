@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from twostage_servo.service.ending_signals import EndingSignals
     from twostage_servo.service.loop import ServoService
     from twostage_servo.service.notify import Notifier
-    from twostage_servo.ticks import Tick
+    from twostage_servo.timing.ticks import Tick
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -54,7 +54,7 @@ def _run_service(options: argparse.Namespace, signals: "EndingSignals") -> ExitC
     from twostage_servo.service.assembly import build_service
     from twostage_servo.service.log import open_log
     from twostage_servo.service.punctual import punctual
-    from twostage_servo.ticks import real_time_loop
+    from twostage_servo.timing.ticks import real_time_loop
 
     machine = _load_for_processes(options)
     with _threads():
@@ -173,7 +173,7 @@ def _run_drives(options: argparse.Namespace, signals: "EndingSignals") -> None:
 
     from twostage_servo.service.assembly import compile_profile
     from twostage_servo.service.log import open_log
-    from twostage_servo.ticks import real_time_loop
+    from twostage_servo.timing.ticks import real_time_loop
 
     machine = _load_for_processes(options)
     writer = open_log(machine.service.log_level)

@@ -25,7 +25,7 @@ from twostage_servo.faults.table import (
 )
 from twostage_servo.machine import Machine
 from twostage_servo.service.assembly import compile_profile, design
-from twostage_servo.simulation.virtual_clock import run
+from twostage_servo.timing.virtual_clock import run
 
 if TYPE_CHECKING:
     from twostage_servo.axis.design import AxisDesign

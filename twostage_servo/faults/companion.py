@@ -7,7 +7,7 @@ from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
     from twostage_servo.service.group import GroupReaction

@@ -6,7 +6,7 @@ from random import Random
 
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.faults.world import World
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
 
 LARGEST_JUMP = 100.0
 """How far an encoder jumps at most, as a multiple of the innovation limit."""

@@ -22,7 +22,7 @@ from twostage_servo.faults.table import (
 )
 from twostage_servo.faults.world import Sample, World, operate
 from twostage_servo.machine import Machine
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
     from collections.abc import Callable

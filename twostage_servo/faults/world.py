@@ -25,7 +25,7 @@ from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
-from twostage_servo.ticks import Tick, Ticks
+from twostage_servo.timing.ticks import Tick, Ticks
 
 if TYPE_CHECKING:
     from twostage_servo.service.log import LogWriter

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
 
-from twostage_servo.ticks import Tick, Ticks, WakeMargin
+from twostage_servo.timing.ticks import Tick, Ticks, WakeMargin
 
 GOOD_P99_SHARE: Final = 0.02
 GOOD_WORST_SHARE: Final = 0.25

@@ -19,10 +19,10 @@ from twostage_servo.service.snapshot import report_service
 from twostage_servo.service.station import Station
 from twostage_servo.service.statistics import TickStatistics
 from twostage_servo.service.turns import Turns
-from twostage_servo.ticks import Tick, Ticks, spin
+from twostage_servo.timing.ticks import Tick, Ticks, spin
 
 if TYPE_CHECKING:
-    from twostage_servo.host.send_offset import SendOffset
+    from twostage_servo.timing.output_offset import OutputOffset
 
 Publisher = Callable[[Tick], None]
 
@@ -64,7 +64,7 @@ class ServoService:
         Called at the end of each tick; they must not wait.
     after_tick
         Called with the tick and the loop's time in s when the tick is over: for work that fits into the idle time.
-    send_offset
+    output_offset
         How long after the deadline of a tick its commands leave; None lets them leave as soon as they are ready.
     host
         Tells how punctual the host lets the service be; None where it runs in simulated time.
@@ -83,7 +83,7 @@ class ServoService:
         self.turns = Turns(self.ticks.period_s)
         self.publishers: list[Publisher] = []
         self.after_tick: Callable[[Tick, float], None] | None = None
-        self.send_offset: SendOffset | None = None
+        self.output_offset: OutputOffset | None = None
         self.host: Callable[[], dict[str, Any]] | None = None
         self.failure: Exception | None = None
         self.failed_tick: int | None = None
@@ -243,7 +243,7 @@ class ServoService:
 
     def _hold(self, loop: asyncio.AbstractEventLoop, tick: Tick, ready_s: float) -> float:
         """Let the time at which the commands shall leave come; return the loop's time then."""
-        offset = self.send_offset
+        offset = self.output_offset
         if offset is None:
             return ready_s
         send_s = tick.deadline_s + offset.offset_s

@@ -9,7 +9,7 @@ import can
 import structlog
 
 from twostage_servo.canbus.link import Link, LinkError
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
     from twostage_servo.service.station import Station

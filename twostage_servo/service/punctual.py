@@ -10,12 +10,12 @@ from twostage_servo.axis.state import DRIVEN
 from twostage_servo.host import realtime
 from twostage_servo.host.garbage import GarbageCollection
 from twostage_servo.host.realtime import RealtimeReport
-from twostage_servo.host.send_offset import send_offset
 from twostage_servo.host.settings import RealtimeSettings
-from twostage_servo.host.wake_margin import wake_margin
 from twostage_servo.host.warm_up import warm_up
 from twostage_servo.service.loop import ServoService
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.output_offset import output_offset
+from twostage_servo.timing.ticks import Tick
+from twostage_servo.timing.wake_margin import wake_margin
 
 
 @contextlib.contextmanager
@@ -32,7 +32,7 @@ def punctual(service: ServoService, settings: RealtimeSettings) -> Iterator[None
         else:
             log.info("granted", what=grant.name, granted=grant.granted)
     service.ticks.margin = wake_margin(settings.spin, service.ticks.period_s)
-    service.send_offset = send_offset(settings, service.ticks.period_s)
+    service.output_offset = output_offset(settings.send_at, settings.spin, service.ticks.period_s)
     for station in service.stations:
         law = station.axis.design.build_law()
         law.set_target(1.0, 1.0)
@@ -68,7 +68,7 @@ def _report(
         "spin": settings.spin,
         "margin_us": round(1e6 * service.ticks.margin_s, 1),
         "send_at": settings.send_at,
-        "send_offset_us": None if service.send_offset is None else round(1e6 * service.send_offset.offset_s, 1),
+        "send_offset_us": None if service.output_offset is None else round(1e6 * service.output_offset.offset_s, 1),
         "granted": {grant.name: grant.granted for grant in report.grants if not grant.warning},
         "refused": [
             {"what": grant.name, "asked": grant.asked, "why": grant.warning, "remedy": grant.remedy}

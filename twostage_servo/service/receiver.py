@@ -11,8 +11,8 @@ from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.state import DRIVEN
 from twostage_servo.canbus.profile import DriveProfile, FrameRejected, PositionRejected
 from twostage_servo.canbus.profile import Feedback as Reported
-from twostage_servo.service.statistics import TimeHistogram
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.histogram import TimeHistogram
+from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis

@@ -8,7 +8,7 @@ from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.service.disabled_report import DisabledReport
 from twostage_servo.service.recorder import Record
 from twostage_servo.service.trip_files import TripFile
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
     from collections.abc import Callable

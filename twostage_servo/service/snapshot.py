@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from twostage_servo import __version__
 from twostage_servo.axis.state import DRIVEN
-from twostage_servo.service.statistics import TimeHistogram
+from twostage_servo.timing.histogram import TimeHistogram
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService

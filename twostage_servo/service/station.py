@@ -15,8 +15,8 @@ from twostage_servo.service.receiver import Receiver
 from twostage_servo.service.recorder import Record, Recorder
 from twostage_servo.service.reporter import Reporter
 from twostage_servo.service.snapshot import report_axis
-from twostage_servo.service.statistics import TimeHistogram
-from twostage_servo.ticks import Tick
+from twostage_servo.timing.histogram import TimeHistogram
+from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
     from twostage_servo.service.port import Port

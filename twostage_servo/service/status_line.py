@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from twostage_servo.axis.trips import Trip
     from twostage_servo.service.loop import ServoService
     from twostage_servo.service.station import Station
-    from twostage_servo.ticks import Tick
+    from twostage_servo.timing.ticks import Tick
 
 WORDS: Final = {
     State.DISARMED: "disarmed",

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.sparse_ticks import SparseTicks
-from twostage_servo.ticks import Ticks
+from twostage_servo.timing.ticks import Ticks
 
 _log = logging.getLogger(__name__)
 

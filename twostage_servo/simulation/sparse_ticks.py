@@ -4,7 +4,7 @@ import asyncio
 import math
 from typing import TYPE_CHECKING
 
-from twostage_servo.ticks import Tick, Ticks
+from twostage_servo.timing.ticks import Tick, Ticks
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from twostage_servo.host.wake_margin import FixedMargin, LearnedMargin, wake_margin
+from twostage_servo.timing.wake_margin import FixedMargin, LearnedMargin, wake_margin
 
 if TYPE_CHECKING:
     from collections.abc import Callable

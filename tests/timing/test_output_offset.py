@@ -3,8 +3,8 @@ import random
 
 import pytest
 
-from twostage_servo.host.send_offset import FixedOffset, LearnedOffset, send_offset
 from twostage_servo.host.settings import RealtimeSettings
+from twostage_servo.timing.output_offset import FixedOffset, LearnedOffset, output_offset
 
 PERIOD_S = 0.01
 
@@ -77,7 +77,8 @@ def test_a_time_that_no_offset_could_make_up_for_teaches_nothing() -> None:
 
 def test_what_the_setting_asks_for() -> None:
     def asked(**settings: str | float) -> LearnedOffset | FixedOffset | None:
-        offset = send_offset(RealtimeSettings.model_validate(settings), PERIOD_S)
+        table = RealtimeSettings.model_validate(settings)
+        offset = output_offset(table.send_at, table.spin, PERIOD_S)
         assert offset is None or isinstance(offset, LearnedOffset | FixedOffset)
         return offset
 
@@ -90,6 +91,6 @@ def test_what_the_setting_asks_for() -> None:
     assert isinstance(fixed, FixedOffset)
     fixed.learn(0.1)
     assert fixed.offset_s == pytest.approx(120e-6)
-    short = send_offset(RealtimeSettings(send_at=1000.0), 0.001)
+    short = output_offset(1000.0, "auto", 0.001)
     assert short is not None
     assert short.offset_s == 0.5e-3

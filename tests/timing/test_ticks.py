@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.host_loop import HostLoop
-from twostage_servo.simulation.virtual_clock import VirtualClockLoop, run
-from twostage_servo.ticks import Tick, Ticks, WakeMargin, real_time_loop
+from twostage_servo.timing.ticks import Tick, Ticks, WakeMargin, real_time_loop
+from twostage_servo.timing.virtual_clock import VirtualClockLoop, run
 
 PERIOD_S = 0.01
 

@@ -6,9 +6,9 @@ import pytest
 from tests.host_loop import HostLoop
 from tests.service.rig import BUS
 from twostage_servo.config import load
-from twostage_servo.host.send_offset import FixedOffset
 from twostage_servo.service.assembly import build_service
 from twostage_servo.simulation.bus import Wire
+from twostage_servo.timing.output_offset import FixedOffset
 
 WORK_S = [20e-6, 90e-6, 40e-6, 250e-6, 10e-6, 60e-6]
 """What the arithmetic of a tick takes, tick by tick."""
@@ -38,7 +38,7 @@ def sent_after_s(offset: FixedOffset | None) -> list[float]:
         station.update = update  # type: ignore[method-assign]
         station.port.observers.append(note_frame)
         service.publishers.append(lambda tick: due_s.update({tick.index: tick.deadline_s}))
-        service.send_offset = offset
+        service.output_offset = offset
         loop.call_later((len(WORK_S) + 2) * service.ticks.period_s, service.shut_down)
         await service.run()
         assert (service.statistics.duration["hold"].largest_us > 0.0) is (offset is not None)

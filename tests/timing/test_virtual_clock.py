@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twostage_servo.simulation.virtual_clock import DeadlockError, VirtualClockLoop, run
-from twostage_servo.ticks import Ticks
+from twostage_servo.timing.ticks import Ticks
+from twostage_servo.timing.virtual_clock import DeadlockError, VirtualClockLoop, run
 
 
 def test_time_begins_at_zero_and_jumps_to_each_deadline_exactly() -> None:

@@ -5,10 +5,9 @@ deadline does not show it: this is the output at a fixed instant of a logical ex
 B. Horowitz, C. M. Kirsch: Giotto, Proceedings of the IEEE 91, 2003).
 """
 
-from typing import Final, Protocol
+from typing import Final, Literal, Protocol
 
-from twostage_servo.host.settings import RealtimeSettings
-from twostage_servo.host.wake_margin import LARGEST_MARGIN_S, LARGEST_SHARE
+from twostage_servo.timing.wake_margin import LARGEST_MARGIN_S, LARGEST_SHARE
 
 _DECAY_S: Final = 0.1e-6
 """By so much each command that is ready in time lets the offset sink: 10 µs a second with a tick of 10 ms."""
@@ -17,7 +16,7 @@ _LARGEST_STEP_S: Final = 50e-6
 _FIRST_OFFSET_S: Final = 150e-6
 
 
-class SendOffset(Protocol):
+class OutputOffset(Protocol):
     """How long after the deadline of a tick its commands leave; they leave later if they are not ready by then."""
 
     @property
@@ -86,7 +85,9 @@ class FixedOffset:
         """Do nothing."""
 
 
-def send_offset(settings: RealtimeSettings, period_s: float) -> SendOffset | None:
+def output_offset(
+    send_at: Literal["off", "auto"] | float, spin: Literal["off", "auto"] | float, period_s: float
+) -> OutputOffset | None:
     """Return the offset that ``realtime.send_at`` asks for, for a loop that runs in real time.
 
     ``"auto"`` without a spin before the tick is none: the ticks are not even then, and who spares the processor that
@@ -94,11 +95,13 @@ def send_offset(settings: RealtimeSettings, period_s: float) -> SendOffset | Non
 
     Parameters
     ----------
-    settings
-        The table ``[realtime]``.
+    send_at
+        ``"off"``, ``"auto"``, or the offset in µs.
+    spin
+        What ``realtime.spin`` asks for; see :func:`twostage_servo.timing.wake_margin.wake_margin`.
     period_s
         Period of the ticks, s.
     """
-    if isinstance(settings.send_at, str):
-        return LearnedOffset(period_s) if settings.send_at == "auto" and settings.spin != "off" else None
-    return FixedOffset(1e-6 * settings.send_at, period_s) if settings.send_at > 0.0 else None
+    if isinstance(send_at, str):
+        return LearnedOffset(period_s) if send_at == "auto" and spin != "off" else None
+    return FixedOffset(1e-6 * send_at, period_s) if send_at > 0.0 else None

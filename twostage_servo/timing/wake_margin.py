@@ -3,7 +3,7 @@
 import math
 from typing import Final, Literal
 
-from twostage_servo.ticks import WakeMargin
+from twostage_servo.timing.ticks import WakeMargin
 
 LARGEST_MARGIN_S: Final = 1e-3
 LARGEST_SHARE: Final = 0.1
