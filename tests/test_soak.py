@@ -262,7 +262,7 @@ def test_an_effort_beyond_its_limit_its_rate_or_its_state_is_told(monkeypatch: p
 
 def test_an_axis_that_takes_itself_to_be_elsewhere_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     soak = armed(soak_of(linear(), monkeypatch))
-    soak.invariants.look(Command(soak.axis.law.effort, enable=True), soak.drive.position + 0.9)
+    soak.invariants.look(Command(soak.axis.effort, enable=True), soak.drive.position + 0.9)
     with pytest.raises(BrokenInvariantError, match="takes itself to be at"):
         Invariants(soak.axis).look(Command(0.0, enable=True), soak.drive.position + 1.2)
 
@@ -342,7 +342,7 @@ def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_j
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     soak = armed(soak_of(linear(), monkeypatch))
-    jam, effort = soak.axis.settings.limits.jam_effort, soak.axis.law.effort
+    jam, effort = soak.axis.settings.limits.jam_effort, soak.axis.effort
     far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.0)
     soak.watch.begin(0.0, 0.0, 0.0)
     soak.watch.look(0.0, 0.0, effort + 1.1 * jam)

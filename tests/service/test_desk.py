@@ -23,7 +23,7 @@ class WrittenDown:
         self.can_stop = True
         self.slowest_velocity = 0.5
         self.settings = SimpleNamespace(cruise_velocity=100.0)
-        self.law = SimpleNamespace(observer=SimpleNamespace(position=0.0))
+        self.estimate = SimpleNamespace(position=0.0)
         self.duration = SimpleNamespace(
             duration_s=lambda distance, velocity: distance / velocity,
             velocity_for=lambda distance, duration_s, fastest: min(fastest, distance / duration_s),
@@ -179,8 +179,8 @@ def test_axes_that_move_together_take_as_long_as_the_one_that_takes_longest(
     velocity: float | None, fastest: float
 ) -> None:
     service = Service()
-    service.axes["x"].law.observer.position = 100.0
-    service.axes["y"].law.observer.position = 100.0
+    service.axes["x"].estimate.position = 100.0
+    service.axes["y"].estimate.position = 100.0
     fields: dict[str, Any] = {} if velocity is None else {"velocity": velocity}
     service.ask(op="move", positions={"x": -100.0, "y": 150.0}, **fields)
     assert service.told() == {

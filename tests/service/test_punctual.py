@@ -79,9 +79,9 @@ def test_the_step_of_each_axis_has_run_before_the_first_tick(monkeypatch: pytest
 
     async def script(world: World) -> None:
         monkeypatch.setattr(module, "warm_up", warm_up)
-        before = world.axis.law.effort
+        before = world.axis.effort
         with punctual(world.service, settings()):
-            assert world.axis.law.effort == before  # it is another law than the axis'
+            assert world.axis.effort == before  # it is another law than the axis'
 
     simulate(script)
     assert len(warmed) == 1

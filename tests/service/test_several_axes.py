@@ -152,7 +152,7 @@ def test_axes_that_move_together_set_out_and_arrive_together(two_buses: Path, po
             for name, target in positions.items():
                 if abs(plant.drives[name].position) > 0.0:
                     begun.setdefault(name, service.statistics.count)
-                designed = plant.axis(name).motion.nominal.observer.position
+                designed = plant.axis(name).nominal.position
                 if abs(designed - target) > window[name]:
                     arrived[name] = service.statistics.count
                 if abs(plant.drives[name].position - target) > window[name]:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tests.service.rig import World, simulate
+from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.snapshot import ready_for_json, report_service
@@ -30,15 +31,15 @@ def test_a_drive_that_was_never_heard_has_no_position_and_no_age() -> None:
     assert (report["frames"]["age_us"], report["frames"]["feedback_to_command_us"]) == (None, None)
 
 
-def test_an_axis_in_mid_move_is_shown_with_its_estimates_and_its_move() -> None:
+def test_an_axis_in_mid_move_is_shown_with_its_estimates_and_its_move(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         await world.cruising(target=400.0, velocity=80.0)
-        axis, observer = world.axis, world.axis.law.observer
+        axis, estimate = world.axis, world.axis.estimate
         report = world.station.report()
         shown = report["axis"]
         assert shown["state"] == State.SPEED_STAGE
-        assert shown["velocity"] == observer.velocity == pytest.approx(80.0, rel=0.05)
-        assert shown["disturbance"] == observer.disturbance
+        assert shown["velocity"] == estimate.velocity == pytest.approx(80.0, rel=0.05)
+        assert shown["disturbance"] == estimate.disturbance
         assert shown["position"] == axis.drive.position == pytest.approx(world.drive.position, abs=2.0)
         assert shown["effort"] == world.station.command.effort > 0.0
         assert shown["target"] == 400.0
@@ -56,7 +57,7 @@ def test_an_axis_in_mid_move_is_shown_with_its_estimates_and_its_move() -> None:
         assert report["bus"]["error"] is None
         assert report["bus"]["channel"] == "can0"
         assert report["bus"]["controller"] == "active"
-        world.axis.law.saturated = True
+        monkeypatch.setattr(Axis, "saturated", True)
         assert world.station.report()["axis"]["saturated"] is True
 
     simulate(script)
@@ -86,7 +87,7 @@ def test_a_trip_is_shown_with_its_file_and_with_what_made_it_worse() -> None:
     simulate(script)
 
 
-def test_each_counter_stands_under_its_name() -> None:
+def test_each_counter_stands_under_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         await world.armed()
         counters, monitor = world.station.port.link.counters, world.axis.drive.monitor
@@ -96,7 +97,7 @@ def test_each_counter_stands_under_its_name() -> None:
             setattr(counters, name, number)
         for number, name in enumerate(of_monitor, 2001):
             setattr(monitor, name, number)
-        world.axis.motion.predicted = 3001
+        monkeypatch.setattr(Axis, "predicted_ticks", 3001)
         counters.rejected_by_reason["remote"] = 4001
         counters.errors_by_kind["bus_off"] = 5001
         frames = world.station.report()["frames"]

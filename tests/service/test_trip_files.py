@@ -12,13 +12,17 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from tests.service.rig import World, simulate
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.control.two_stage import TwoStageLaw
 from twostage_servo.service import trip_files
 from twostage_servo.service.recorder import Record
 from twostage_servo.service.trip_files import KEPT, TripFiles, default_folder, write_file
@@ -101,11 +105,11 @@ def test_numbers_that_are_not_finite_are_null_in_the_file(monkeypatch: pytest.Mo
     async def script(world: World) -> None:
         world.station.reporter.trip_files = TripFiles(tmp_path)
         await world.cruising()
-        step = type(world.axis.law).step
-        monkeypatch.setattr(type(world.axis.law), "step", lambda law, sample: step(law, sample) + math.nan)
-        monkeypatch.setattr(type(world.axis.motion), "finite", False)
+        step = TwoStageLaw.step
+        monkeypatch.setattr(TwoStageLaw, "step", lambda law, sample: step(law, sample) + math.nan)
+        monkeypatch.setattr(Motion, "finite", False)
         await world.until(lambda: world.axis.trip is not None)
-        world.axis.law.observer.velocity = math.nan
+        monkeypatch.setattr(Axis, "estimate", SimpleNamespace(position=0.0, velocity=math.nan, disturbance=0.0))
         await world.seconds(0.05)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.NOT_FINITE

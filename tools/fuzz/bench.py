@@ -433,7 +433,7 @@ class Bench:
             raise Failed(f"the effort is {effort} in state {state}")
         if enable and state not in _IN_ENABLED and written:
             raise Failed(f"the drive is enabled in state {state}")
-        if state in _IN_DRIVE and not axis.motion.finite:
+        if state in _IN_DRIVE and not axis.is_finite:
             raise Failed("the estimate is not finite while the axis is driven")
 
     def _check_counts(self) -> None:

@@ -273,9 +273,9 @@ class Desk:
         """Count an answer, and check that nothing in the axis has become other than finite by its request."""
         self.codes["ok" if answer["ok"] else answer["error"]["code"]] += 1
         axis = self.bench.station.axis
-        observer = axis.law.observer
-        total = observer.position + observer.velocity + observer.disturbance + axis.law.target + axis.law.effort
-        if not math.isfinite(total + axis.law.cruise_velocity + axis.law.speed_reference):
+        estimate = axis.estimate
+        total = estimate.position + estimate.velocity + estimate.disturbance + axis.set_point + axis.effort
+        if not math.isfinite(total + axis.cruise_velocity + axis.speed_reference):
             raise Failed(f"{line.data[:300]!r} has left the axis with a number that is not finite")
         return answer
 

@@ -207,7 +207,7 @@ class EncoderWatch:
 
     def _look_at_arming(self, position: float, speed: float) -> str | None:
         """Look at an axis that has been armed, at a true position and speed; return what is wrong, or None."""
-        believed = self._axis.law.observer.position
+        believed = self._axis.estimate.position
         if not self._axis.referenced:
             return None
         error, allowed = abs(believed - position), self._error_allowed + self._accuracy(abs(speed))
@@ -252,7 +252,7 @@ class EncoderWatch:
         is_scale = self.factor > 0.0
         self._is_certain = not is_scale or (shows and steady) or (from_rest and self._is_refused())
         self._is_slow = is_scale and not shows
-        self._effort_before = None if shows or self.factor else self._axis.law.effort
+        self._effort_before = None if shows or self.factor else self._axis.effort
         self._set_bound()
         self._error_allowed += abs(1.0 - self.factor) * self._bound
 
@@ -272,7 +272,7 @@ class EncoderWatch:
 
     def _speed_asked(self) -> float:
         """Return the speed of the motion under way, in axis unit/s: an axis that speeds up goes on doing so."""
-        return abs(self._axis.law.cruise_velocity) if self._axis.state in COMMANDED else 0.0
+        return abs(self._axis.cruise_velocity) if self._axis.state in COMMANDED else 0.0
 
     def _set_bound(self) -> None:
         certain = travel_bound(self._axis.design, self._speed, self.factor)

@@ -101,13 +101,13 @@ class Invariants:
         self._fastest = max(0.999 * self._fastest, speed)
         if not axis.referenced or state not in DRIVEN or state in LATCHED:
             return
-        observer, limits = axis.law.observer, axis.settings.limits
+        estimate, limits = axis.estimate, axis.settings.limits
         gate = limits.innovation + 1e-3 * limits.innovation_time_ms * self._fastest
         allowed = 2.0 * gate + self._fastest * self._unseen_s + axis.settings.window.position
-        error = abs(observer.position - position)
+        error = abs(estimate.position - position)
         if error > allowed:
             raise BrokenInvariantError(
-                f"the axis is {state} and takes itself to be at {observer.position:.6g}, and is at {position:.6g}: "
+                f"the axis is {state} and takes itself to be at {estimate.position:.6g}, and is at {position:.6g}: "
                 f"{error:.4g} off, {allowed:.4g} is the most"
             )
 

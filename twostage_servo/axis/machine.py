@@ -15,6 +15,7 @@ from twostage_servo.axis.reference import Reference
 from twostage_servo.axis.state import BRAKING, CIA402, COMMANDED, DRIVEN, ENABLED, LATCHED, Event, State, next_state
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import EVENTS, RULES, Trip, TripCode
+from twostage_servo.control.estimate import Estimate
 from twostage_servo.control.two_stage import Stage, TwoStageLaw
 
 _DISABLED_TICKS = 2
@@ -114,6 +115,66 @@ class Machine:
     def law(self) -> TwoStageLaw:
         """The law that drives the axis."""
         return self.motion.law
+
+    @property
+    def estimate(self) -> Estimate:
+        """Position, velocity and disturbance of the axis as its law takes them to be now."""
+        return self.motion.law.observer
+
+    @property
+    def nominal(self) -> Estimate:
+        """Position and velocity that the axis is designed to have now."""
+        return self.motion.nominal.observer
+
+    @property
+    def effort(self) -> float:
+        """The effort that the law gave last, in effort unit; not what has left where the axis is not driven."""
+        return self.motion.law.effort
+
+    @property
+    def set_point(self) -> float:
+        """The set-point in force, in axis unit."""
+        return self.motion.law.target
+
+    @property
+    def cruise_velocity(self) -> float:
+        """Magnitude of the velocity that goes with the set-point, in axis unit/s."""
+        return self.motion.law.cruise_velocity
+
+    @property
+    def distance_to_go(self) -> float:
+        """Distance from the estimated position to the set-point, in axis unit, never negative."""
+        return self.motion.law.distance
+
+    @property
+    def speed_reference(self) -> float:
+        """The velocity that the law asks for now, ramped, in axis unit/s."""
+        return self.motion.law.speed_reference
+
+    @property
+    def stage(self) -> Stage:
+        """The stage that made the last effort."""
+        return self.motion.law.stage
+
+    @property
+    def saturated(self) -> bool:
+        """Whether the effort limit cut the last effort."""
+        return self.motion.law.saturated
+
+    @property
+    def changeovers(self) -> int:
+        """Number of changes from the speed to the position stage so far."""
+        return self.motion.law.changeovers
+
+    @property
+    def predicted_ticks(self) -> int:
+        """Ticks in which the model had to stand in for a sample, so far."""
+        return self.motion.predicted
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether effort and estimate are numbers."""
+        return self.motion.finite
 
     @property
     def referenced(self) -> bool:

@@ -142,12 +142,12 @@ class Demonstration:
 
     def _on_tick(self, tick: Tick) -> None:
         assert self._drive is not None  # noqa: S101 - run() has made it
-        service, axis, observer = self.service, self._station.axis, self._station.axis.law.observer
+        service, axis, estimate = self.service, self._station.axis, self._station.axis.estimate
         self.samples.append(
             Sample(
-                tick.index * service.ticks.period_s, axis.state, axis.law.changeovers, self._drive.position,
-                self._drive.velocity, axis.drive.position, observer.position, observer.velocity,
-                observer.disturbance, self._station.command.effort, axis.law.speed_reference, axis.following_error,
+                tick.index * service.ticks.period_s, axis.state, axis.changeovers, self._drive.position,
+                self._drive.velocity, axis.drive.position, estimate.position, estimate.velocity,
+                estimate.disturbance, self._station.command.effort, axis.speed_reference, axis.following_error,
             )
         )  # fmt: skip
         if self._move is not None and tick.index % 5 == 0:

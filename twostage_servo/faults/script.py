@@ -190,10 +190,10 @@ class Script:
         reached: Callable[[], bool] = {
             Phase.ACCELERATING: lambda: abs(_nominal_velocity(world)) >= 0.5 * world.velocity,
             **dict.fromkeys((Phase.CRUISING, *BRAKED), lambda: self._cruises(world)),
-            Phase.CHANGEOVER: lambda: world.axis.law.stage is Stage.POSITION,
+            Phase.CHANGEOVER: lambda: world.axis.stage is Stage.POSITION,
             Phase.SETTLING: lambda: (
-                world.axis.law.stage is Stage.POSITION
-                and world.axis.law.distance <= settling_begin(self._design, world.velocity)
+                world.axis.stage is Stage.POSITION
+                and world.axis.distance_to_go <= settling_begin(self._design, world.velocity)
             ),
             Phase.HOLDING: lambda: world.axis.state is State.HOLDING,
             Phase.HOMING: lambda: world.axis.state is State.HOMING and _is_up_to_speed(world),
@@ -213,11 +213,11 @@ class Script:
 
     def _cruises(self, world: World) -> bool:
         """Whether the speed has settled; near the end of the cruise, or at its beginning where it has to be long."""
-        law, velocity = world.axis.law, world.velocity
+        velocity = world.velocity
         if self._fault.velocity_limit:
             return _is_up_to_speed(world)
         near = cruise_end(self._design, velocity)
-        return abs(law.speed_reference) >= 0.999 * velocity and law.distance <= near
+        return abs(world.axis.speed_reference) >= 0.999 * velocity and world.axis.distance_to_go <= near
 
     async def _go_on(self, world: World) -> None:
         """Do what an operator would do next, until the axis is at rest."""
@@ -301,7 +301,7 @@ class Script:
 
 
 def _nominal_velocity(world: World) -> float:
-    return world.axis.motion.nominal.observer.velocity
+    return world.axis.nominal.velocity
 
 
 def _is_up_to_speed(world: World) -> bool:

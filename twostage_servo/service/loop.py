@@ -260,7 +260,7 @@ class ServoService:
                 axis.end_braking()
 
     def _tell_if_it_coasts(self, station: Station) -> None:
-        velocity = station.axis.law.observer.velocity
+        velocity = station.axis.estimate.velocity
         if abs(velocity) > station.axis.design.rest_velocity:
             self._log.error(
                 "the drive is disabled while the axis moves: the time to brake at the end of the service is over",

@@ -28,7 +28,7 @@ def report_service(service: "ServoService") -> dict[str, Any]:
 
 def report_axis(station: "Station") -> dict[str, Any]:
     """Return the state of an axis with its drive and its bus, ready for JSON."""
-    axis, law, port, receiver = station.axis, station.axis.law, station.port, station.receiver
+    axis, estimate, port, receiver = station.axis, station.axis.estimate, station.port, station.receiver
     driven = axis.state in DRIVEN
     age = axis.drive.monitor.ticks_since_fresh
     counters, file = port.link.counters, station.reporter.trip_file
@@ -44,12 +44,12 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "reference_lost": axis.reference.lost_because or None,
             "position": None if axis.drive.is_stale else axis.drive.position,
             "feedback_age_ms": None if age is None else round(1e3 * age * axis.design.period_s, 3),
-            "velocity": law.observer.velocity if driven else None,
-            "disturbance": law.observer.disturbance if driven else None,
+            "velocity": estimate.velocity if driven else None,
+            "disturbance": estimate.disturbance if driven else None,
             "effort": station.command.effort,
-            "target": law.target if driven else None,
+            "target": axis.set_point if driven else None,
             "following_error": axis.following_error,
-            "saturated": driven and law.saturated,
+            "saturated": driven and axis.saturated,
         },
         "move": None
         if axis.move is None
@@ -103,7 +103,7 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "reordered": axis.drive.monitor.reordered,
             "implausible": axis.drive.monitor.implausible,
             "recent_errors": axis.drive.monitor.recent_errors,
-            "predicted": axis.motion.predicted,
+            "predicted": axis.predicted_ticks,
             "age_us": _measured(receiver.frame_age),
             "feedback_to_command_us": _measured(station.feedback_to_command),
         },

@@ -117,12 +117,12 @@ class Station:
 
     def publish(self, tick: Tick) -> None:
         """Record the tick, and tell the log what has changed."""
-        axis, observer = self.axis, self.axis.law.observer
+        axis, estimate = self.axis, self.axis.estimate
         self.recorder.add(
             Record(
-                tick.index, tick.missed, 1e6 * tick.lateness_s, axis.state, axis.drive.position, observer.position,
-                observer.velocity, observer.disturbance, self.command.effort, axis.law.target,
-                axis.law.speed_reference, axis.following_error,
+                tick.index, tick.missed, 1e6 * tick.lateness_s, axis.state, axis.drive.position, estimate.position,
+                estimate.velocity, estimate.disturbance, self.command.effort, axis.set_point,
+                axis.speed_reference, axis.following_error,
             )
         )  # fmt: skip
         self.reporter.report(tick)

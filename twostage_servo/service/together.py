@@ -16,7 +16,7 @@ def velocities_to_arrive_together(moves: "Sequence[tuple[Axis, float, float]]") 
     moves
         Axis, set-point in its unit, and the largest velocity in its unit/s; the axes are at rest.
     """
-    distances = [abs(target - axis.law.observer.position) for axis, target, _ in moves]
+    distances = [abs(target - axis.estimate.position) for axis, target, _ in moves]
     longest_s = max(
         axis.duration.duration_s(distance, fastest)
         for (axis, _, fastest), distance in zip(moves, distances, strict=True)
