@@ -12,10 +12,10 @@ from can import Message
 from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.canbus.profile import DriveProfile, Feedback
-from twostage_servo.canbus.protocol import ProtocolSettings
 from twostage_servo.cli.main import build_parser
 from twostage_servo.config import load
+from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
+from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE
 from twostage_servo.paper.errata import errata_table
 from twostage_servo.service.assembly import build_service

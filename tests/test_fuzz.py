@@ -16,8 +16,10 @@ import structlog
 from pydantic import BaseModel
 
 from twostage_servo.api.requests import Request
-from twostage_servo.canbus.profile import DriveProfile, Feedback, FrameRejected, ProtocolSettings
 from twostage_servo.config import ConfigError, load
+from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
+from twostage_servo.drives.dbc.settings import ProtocolSettings
+from twostage_servo.drives.frame import FrameRejected
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 

@@ -20,15 +20,17 @@ MAY_IMPORT = {
     "control": set[str](),
     "axis": {"control"},
     "canbus": {"control"},
-    "simulation": {"canbus", "control"},
+    "drives": {"axis", "canbus"},
+    "simulation": {"canbus", "control", "drives"},
     "host": set[str](),
     "api": set[str](),
-    "service": {"api", "axis", "canbus", "control", "config", "machine", "host"},
+    "service": {"api", "axis", "canbus", "control", "drives", "config", "machine", "host"},
     "faults": {
         "api",
         "axis",
         "canbus",
         "control",
+        "drives",
         "simulation",
         "service",
         "config",
@@ -41,6 +43,7 @@ MAY_IMPORT = {
         "axis",
         "canbus",
         "control",
+        "drives",
         "simulation",
         "service",
         "host",
@@ -53,6 +56,7 @@ MAY_IMPORT = {
     "config": {
         "axis",
         "canbus",
+        "drives",
         "host",
         "simulation",
         "service",
@@ -118,7 +122,7 @@ def test_the_configuration_takes_only_settings_from_the_rooms() -> None:
     names = [
         alias.name
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module is not None and node.module.count(".") == 2
+        if isinstance(node, ast.ImportFrom) and node.module is not None and node.module.count(".") >= 2
         for alias in node.names
     ]
     assert sorted(names) == [
@@ -136,6 +140,11 @@ def test_the_configuration_takes_only_settings_from_the_rooms() -> None:
 )
 def test_control_and_axis_know_neither_bus_nor_loop(source: Path) -> None:
     assert {name.partition(".")[0] for name in imported_modules(source)}.isdisjoint({"can", "cantools", "asyncio"})
+
+
+@pytest.mark.parametrize("source", [s for s in SOURCES if room_of(s) == "drives"], ids=lambda s: s.name)
+def test_drives_know_neither_bus_nor_loop_nor_log(source: Path) -> None:
+    assert {name.partition(".")[0] for name in imported_modules(source)}.isdisjoint({"can", "asyncio", "structlog"})
 
 
 @pytest.mark.parametrize("module", ["twostage_servo.cli.main", "twostage_servo"])

@@ -18,8 +18,8 @@ from pydantic import Field, ValidationError
 from twostage_servo import toml_lines
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.canbus.link import BusSettings
-from twostage_servo.canbus.profile import ProtocolSettings
 from twostage_servo.config_problems import ConfigError, Document, Override, Problem, validation_problems
+from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.settings import Settings

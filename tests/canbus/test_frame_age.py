@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twostage_servo.canbus.frame import Identifier
 from twostage_servo.canbus.frame_age import FrameAge
+from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link import BusSettings, Link
 
 FEEDBACK = Identifier(0x181, extended=False)

@@ -11,7 +11,7 @@ from typing import Any
 import can
 import pytest
 
-from twostage_servo.canbus.frame import Identifier
+from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link import BusSettings, Link, LinkCounters, LinkError
 
 FEEDBACK = Identifier(0x181, extended=False)

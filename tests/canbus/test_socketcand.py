@@ -10,8 +10,8 @@ import can
 import pytest
 
 from twostage_servo.canbus import socketcand
-from twostage_servo.canbus.frame import Identifier
 from twostage_servo.canbus.hub import Hub
+from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link import BusSettings, Link, LinkError
 
 FEEDBACK = Identifier(0x181, extended=False)

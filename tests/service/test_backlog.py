@@ -11,7 +11,7 @@ from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import BusSettings, Link
-from twostage_servo.canbus.profile import Heartbeat
+from twostage_servo.drives.dbc.profile import Heartbeat
 from twostage_servo.simulation.bus import Wire, WireBus
 from twostage_servo.timing.ticks import Tick
 

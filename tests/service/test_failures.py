@@ -10,7 +10,7 @@ import pytest
 from tests.service.rig import World, simulate
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.canbus.profile import Command
+from twostage_servo.drives.dbc.profile import Command
 
 QUANTUM = 0.001  # of the effort in the shipped DBC
 RATE_A_TICK = 1000.0 * 0.01  # axis.limits.effort_rate, in V

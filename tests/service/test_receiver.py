@@ -11,7 +11,8 @@ from twostage_servo.axis.messages import Feedback as Taken
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link
-from twostage_servo.canbus.profile import Feedback, FrameRejected, PositionRejected
+from twostage_servo.drives.dbc.profile import Feedback, PositionRejected
+from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.service.receiver import Receiver
 from twostage_servo.timing.ticks import Tick
 from twostage_servo.timing.virtual_clock import run

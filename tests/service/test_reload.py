@@ -9,11 +9,12 @@ from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
-from twostage_servo.canbus.compiler import dbc_digest
-from twostage_servo.canbus.profile import DriveProfile, ProtocolError
-from twostage_servo.canbus.protocol import ProtocolSettings
 from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.config import ConfigError, load
+from twostage_servo.drives.dbc.compiler import dbc_digest
+from twostage_servo.drives.dbc.profile import DriveProfile
+from twostage_servo.drives.dbc.settings import ProtocolSettings
+from twostage_servo.drives.protocol_error import ProtocolError
 from twostage_servo.machine import Machine
 from twostage_servo.service.assembly import reload_machine
 

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from twostage_servo.canbus.profile import DriveProfile, Feedback, Heartbeat, Identifier, Index
+from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat, Index
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.settings import SimulationSettings
 

@@ -2,7 +2,8 @@ from pathlib import Path
 
 import pytest
 
-from twostage_servo.canbus.profile import DriveProfile, ProtocolSettings
+from twostage_servo.drives.dbc.profile import DriveProfile
+from twostage_servo.drives.dbc.settings import ProtocolSettings
 
 
 @pytest.fixture(scope="session")

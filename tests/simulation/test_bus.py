@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twostage_servo.canbus.frame import FrameRejected, Identifier
+from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link import BusSettings, Link, LinkError
-from twostage_servo.canbus.profile import DriveProfile
+from twostage_servo.drives.dbc.profile import DriveProfile
+from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.simulation.bus import Wire, WireBus
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode

@@ -10,15 +10,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from tests.simulation.bench import START_S, Bench, message, motion
-from twostage_servo.canbus.profile import (
-    CommandSettings,
-    DriveProfile,
-    Feedback,
-    FeedbackSettings,
-    Heartbeat,
-    Identifier,
-    ProtocolSettings,
-)
+from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat
+from twostage_servo.drives.dbc.settings import CommandSettings, FeedbackSettings, ProtocolSettings
 from twostage_servo.simulation.drive import COMMAND_TIMEOUT_FAULT
 from twostage_servo.simulation.settings import SimulationSettings
 

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from tests.simulation.bench import GAIN, POLE, START_S, Bench, message, motion
-from twostage_servo.canbus.profile import DriveProfile, Feedback, FrameRejected, Heartbeat, Identifier
+from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat
+from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.simulation.faults import DriveFaults
 
 PATIENT = {"command_timeout_ms": 10_000.0}  # a drive that a test need not command all the time

@@ -8,8 +8,9 @@ import can
 import pytest
 
 from twostage_servo.canbus.hub import Hub
+from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link import BusSettings, Link, LinkError
-from twostage_servo.canbus.profile import DriveProfile, Identifier
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
 from twostage_servo.simulation.settings import SimulationSettings

@@ -8,7 +8,7 @@ import can
 import pytest
 
 from twostage_servo.canbus.link import BusSettings, Link
-from twostage_servo.canbus.profile import DriveProfile
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode

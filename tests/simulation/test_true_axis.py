@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from tests.simulation.bench import Bench, motion
-from twostage_servo.canbus.profile import DriveProfile, Feedback, Index, ProtocolSettings
+from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Index
+from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.simulation.faults import DriveFaults
 from twostage_servo.simulation.settings import SimulationSettings
 from twostage_servo.simulation.true_axis import TrueAxis

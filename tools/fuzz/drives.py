@@ -14,9 +14,11 @@ from cantools.database.can import Database, Message
 from pydantic import BaseModel
 
 from twostage_servo.axis.settings import LimitSettings
-from twostage_servo.canbus.checksum import CHECKSUMS
-from twostage_servo.canbus.profile import LARGEST_POSITION, DriveProfile, Identifier, ProtocolSettings
+from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.config import Config, LoadedConfig, load
+from twostage_servo.drives.dbc.checksum import CHECKSUMS
+from twostage_servo.drives.dbc.profile import LARGEST_POSITION, DriveProfile
+from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.service.assembly import compile_profile
 
 _FOLDER = Path(__file__).parent / "dbc"

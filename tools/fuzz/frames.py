@@ -12,7 +12,7 @@ from fuzz.reference import refusal
 from fuzz.reproducible import reproducible
 from fuzz.request_maker import RequestMaker
 from twostage_servo.axis.state import DRIVEN, State
-from twostage_servo.canbus.frame import FrameRejected
+from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.service.answers import encode
 
 PER_EPISODE = 5000

@@ -1,1 +1,1 @@
-"""Frames: the codec compiled from a DBC, the drive profile, one opened bus, and a bus between processes."""
+"""The transport: one opened bus, its counters and errors, the age of a frame, and a bus between processes."""

@@ -11,8 +11,8 @@ import can
 from can.interfaces.socketcan import SocketcanBus
 
 from twostage_servo.canbus.bus_settings import BusSettings
-from twostage_servo.canbus.frame import Identifier
 from twostage_servo.canbus.frame_age import FrameAge, stamp_clock
+from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link_counters import LinkCounters
 from twostage_servo.canbus.link_error import LinkError, is_full, link_error
 from twostage_servo.canbus.network_interface import NetworkInterface

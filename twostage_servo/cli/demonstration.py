@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings, Link
-from twostage_servo.canbus.profile import DriveProfile
 from twostage_servo.cli.output import Progress, bar
 from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.service.assembly import build_service
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode

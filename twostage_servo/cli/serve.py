@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Iterator
 
-    from twostage_servo.canbus.profile import DriveProfile
     from twostage_servo.config import Config
+    from twostage_servo.drives.dbc.profile import DriveProfile
     from twostage_servo.machine import Machine
     from twostage_servo.service.ending_signals import EndingSignals
     from twostage_servo.service.loop import ServoService

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from twostage_servo.canbus.link import BusSettings, Link
-from twostage_servo.canbus.profile import DriveProfile, FrameRejected
+from twostage_servo.drives.dbc.profile import DriveProfile
+from twostage_servo.drives.frame import FrameRejected
 
 Snapshot = dict[str, Any]
 

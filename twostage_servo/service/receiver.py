@@ -9,8 +9,9 @@ import structlog
 from twostage_servo.axis.drive_states import interpret
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.state import DRIVEN
-from twostage_servo.canbus.profile import DriveProfile, FrameRejected, PositionRejected
-from twostage_servo.canbus.profile import Feedback as Reported
+from twostage_servo.drives.dbc.profile import DriveProfile, PositionRejected
+from twostage_servo.drives.dbc.profile import Feedback as Reported
+from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.timing.histogram import TimeHistogram
 from twostage_servo.timing.ticks import Tick
 

@@ -10,7 +10,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import NO_EFFORT, Command
 from twostage_servo.axis.state import ENABLED
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.canbus.profile import DriveProfile
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.service.receiver import Receiver
 from twostage_servo.service.recorder import Record, Recorder
 from twostage_servo.service.reporter import Reporter

@@ -9,7 +9,9 @@ from typing import Any
 
 import can
 
-from twostage_servo.canbus.profile import DriveProfile, Feedback, FrameRejected, Heartbeat, Identifier, Index
+from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat, Index
+from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.simulation.drive_counters import DriveCounters
 from twostage_servo.simulation.encoder import Encoder
 from twostage_servo.simulation.faults import DriveFaults

@@ -11,7 +11,7 @@ from functools import partial
 
 from cantools.database.can import Database, Message, Signal
 
-from twostage_servo.canbus.signal_codec import SignalCodec, count_codec, flag_codec, position_codec, quantity_codec
+from twostage_servo.drives.dbc.signal_codec import SignalCodec, count_codec, flag_codec, position_codec, quantity_codec
 
 _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 """Of CAN FD frames with more than 8 data bytes, ISO 11898-1."""

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.canbus.test_codec import codec_of, signal
-from twostage_servo.canbus.signal_codec import SignalCodec, UndecodableValue
+from tests.drives.test_message_codec import codec_of, signal
+from twostage_servo.drives.dbc.signal_codec import SignalCodec, UndecodableValue
 
 SCALES = st.sampled_from([1, 0.001, 0.25, -0.5])
 # Whole steps, which may be many turns of the widest signal: a float holds them exactly, and their product with a scale

@@ -11,10 +11,11 @@ from typing import Final
 
 from cantools.database.can import Database
 
-from twostage_servo.canbus.checksum import CHECKSUMS
-from twostage_servo.canbus.codec import MessageCodec
-from twostage_servo.canbus.frame import Frame, Identifier
-from twostage_servo.canbus.protocol import (
+from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.checksum import CHECKSUMS
+from twostage_servo.drives.dbc.frame import Frame
+from twostage_servo.drives.dbc.message_codec import MessageCodec
+from twostage_servo.drives.dbc.settings import (
     CommandSettings,
     FeedbackSettings,
     HeartbeatSettings,
@@ -22,22 +23,8 @@ from twostage_servo.canbus.protocol import (
     ProtocolSettings,
     Role,
 )
-from twostage_servo.canbus.signal_codec import SignalCodec
-
-
-class ProtocolError(ValueError):
-    """The protocol settings do not fit the DBC or each other.
-
-    Attributes
-    ----------
-    key : tuple of str
-        Path of the setting in the config, such as ``("protocol", "feedback", "position")``.
-    """
-
-    def __init__(self, key: tuple[str, ...], text: str) -> None:
-        super().__init__(text)
-        self.key = key
-
+from twostage_servo.drives.dbc.signal_codec import SignalCodec
+from twostage_servo.drives.protocol_error import ProtocolError
 
 _LARGEST_DBC_BYTES: Final = 16_000_000
 

@@ -10,19 +10,12 @@ from cantools.database.can import Database
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from twostage_servo.canbus.checksum import crc8_j1850, sum8, xor8
-from twostage_servo.canbus.profile import (
-    Command,
-    DriveProfile,
-    Feedback,
-    FrameRejected,
-    Heartbeat,
-    Identifier,
-    Index,
-    PositionRejected,
-    ProtocolError,
-    ProtocolSettings,
-)
+from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.checksum import crc8_j1850, sum8, xor8
+from twostage_servo.drives.dbc.profile import Command, DriveProfile, Feedback, Heartbeat, Index, PositionRejected
+from twostage_servo.drives.dbc.settings import ProtocolSettings
+from twostage_servo.drives.frame import FrameRejected
+from twostage_servo.drives.protocol_error import ProtocolError
 
 DBC = Path(__file__).parents[2] / "config" / "servo_drive.dbc"
 SHIPPED = DriveProfile.compile(ProtocolSettings(), Path(), "mm")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twostage_servo.canbus.checksum import CHECKSUMS, crc8_j1850, sum8, xor8
+from twostage_servo.drives.dbc.checksum import CHECKSUMS, crc8_j1850, sum8, xor8
 
 BYTES = st.binary(max_size=8)
 IDENTIFIERS = st.integers(0, 0x1FFFFFFF)

@@ -1,50 +1,13 @@
 """What surrounds the signals of a frame: identifier, length, kind and checksum."""
 
-from typing import Final, NamedTuple
+from typing import Final
 
-import can
-
-from twostage_servo.canbus.checksum import Checksum
-from twostage_servo.canbus.codec import MessageCodec
+from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.checksum import Checksum
+from twostage_servo.drives.dbc.message_codec import MessageCodec
+from twostage_servo.drives.frame import FrameRejected, ReceivedFrame
 
 _BYTES: Final = tuple(bytes((value,)) for value in range(256))
-
-
-class Identifier(NamedTuple):
-    """A CAN identifier with its kind: 0x181 with 11 bits and 0x181 with 29 bits are different identifiers."""
-
-    identifier: int
-    extended: bool
-
-    def __str__(self) -> str:
-        """Return hexadecimal digits, 3 for 11 bits and 8 for 29."""
-        return f"0x{self.identifier:08X}" if self.extended else f"0x{self.identifier:03X}"
-
-
-class FrameRejected(Exception):  # noqa: N818 - not an error of the program: a finding about a frame
-    """A frame that must not be used. Its text shows the frame in hexadecimal.
-
-    Attributes
-    ----------
-    reason : str
-        ``"error_frame"``, ``"remote"``, ``"fd"``, ``"extended"``, ``"identifier"``, ``"length"``, ``"checksum"``,
-        ``"reserved_value"`` or ``"not_finite"``.
-    """
-
-    def __init__(self, reason: str, message: can.Message, detail: str) -> None:
-        super().__init__(reason, message, detail)
-        self.reason = reason
-        self._message = message
-        self._detail = detail
-
-    def __structlog__(self) -> str:
-        """Return the text, for a log that really is written."""
-        return str(self)
-
-    def __str__(self) -> str:
-        """Return the text. It is put together only here, because a babbling node makes many that nobody reads."""
-        identifier = Identifier(self._message.arbitration_id, self._message.is_extended_id)
-        return f"frame {identifier} [{self._message.data.hex(' ')}] rejected ({self.reason}): {self._detail}"
 
 
 class Frame:
@@ -92,7 +55,7 @@ class Frame:
         self._checksum_name = checksum[1] if checksum else ""
         self._checksum_index = layout.byte_index(checksum[1]) if checksum else 0
 
-    def word(self, message: can.Message) -> int:
+    def word(self, message: ReceivedFrame) -> int:
         """Check a received frame and join its bytes to the word.
 
         Raises

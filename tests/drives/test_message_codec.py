@@ -9,8 +9,8 @@ from cantools.database.conversion import BaseConversion
 from hypothesis import assume, given, reject
 from hypothesis import strategies as st
 
-from twostage_servo.canbus.codec import MessageCodec
-from twostage_servo.canbus.signal_codec import UndecodableValue
+from twostage_servo.drives.dbc.message_codec import MessageCodec
+from twostage_servo.drives.dbc.signal_codec import UndecodableValue
 
 FLOAT_FORMATS = {16: "e", 32: "f", 64: "d"}
 

@@ -5,36 +5,13 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, NamedTuple, Self
 
-import can
-
-from twostage_servo.canbus.compiler import Compiler, ProtocolError
-from twostage_servo.canbus.frame import FrameRejected, Identifier
-from twostage_servo.canbus.protocol import (
-    CommandSettings,
-    FeedbackSettings,
-    HeartbeatSettings,
-    IndexSettings,
+from twostage_servo.drives.dbc.compiler import Compiler
+from twostage_servo.drives.dbc.settings import (
     ProtocolSettings,
 )
-from twostage_servo.canbus.signal_codec import UndecodableValue
-
-__all__ = [
-    "Command",
-    "CommandSettings",
-    "DriveProfile",
-    "Feedback",
-    "FeedbackSettings",
-    "FrameRejected",
-    "Heartbeat",
-    "HeartbeatSettings",
-    "Identifier",
-    "Index",
-    "IndexSettings",
-    "PositionRejected",
-    "ProtocolError",
-    "ProtocolSettings",
-]
-
+from twostage_servo.drives.dbc.signal_codec import UndecodableValue
+from twostage_servo.drives.frame import FrameRejected, ReceivedFrame
+from twostage_servo.drives.protocol_error import ProtocolError
 
 LARGEST_POSITION: Final = 1e9
 """Largest magnitude of a position that is believed, axis units: what a set-point may be at most."""
@@ -72,7 +49,7 @@ class PositionRejected(FrameRejected):
         What else the frame says; its position is NaN.
     """
 
-    def __init__(self, reason: str, message: can.Message, detail: str, feedback: Feedback) -> None:
+    def __init__(self, reason: str, message: ReceivedFrame, detail: str, feedback: Feedback) -> None:
         super().__init__(reason, message, detail)
         self.feedback = feedback
 
@@ -214,11 +191,11 @@ class DriveProfile:
         """
         return cls(Compiler(settings, folder, fd=fd), axis_unit)
 
-    def is_feedback(self, message: can.Message) -> bool:
+    def is_feedback(self, message: ReceivedFrame) -> bool:
         """Whether the frame has the number of the feedback; :meth:`decode_feedback` judges the rest."""
         return message.arbitration_id == self.feedback_id.identifier
 
-    def is_command(self, message: can.Message) -> bool:
+    def is_command(self, message: ReceivedFrame) -> bool:
         """Whether the drive would take the frame for a command, as far as its identifier and kind tell."""
         number, extended = self.command_id
         return (
@@ -227,11 +204,11 @@ class DriveProfile:
             and not (message.is_remote_frame or message.is_error_frame)
         )
 
-    def is_index(self, message: can.Message) -> bool:
+    def is_index(self, message: ReceivedFrame) -> bool:
         """Whether the frame has the number of the index message; :meth:`decode_index` judges the rest."""
         return self.index_id is not None and message.arbitration_id == self.index_id.identifier
 
-    def is_heartbeat(self, message: can.Message) -> bool:
+    def is_heartbeat(self, message: ReceivedFrame) -> bool:
         """Whether the frame has the number of the heartbeat; :meth:`decode_heartbeat` judges the rest."""
         return self.heartbeat_id is not None and message.arbitration_id == self.heartbeat_id.identifier
 
@@ -251,7 +228,7 @@ class DriveProfile:
             | encode_counter(counter % self.command_counter_modulus)
         )
 
-    def decode_command(self, message: can.Message) -> Command:
+    def decode_command(self, message: ReceivedFrame) -> Command:
         """Read a command, as the drive does."""
         word = self._command.word(message)
         try:
@@ -271,7 +248,7 @@ class DriveProfile:
             feedback = feedback._replace(counter=feedback.counter % self.counter_modulus)
         return self._feedback.data(_encode(self._feedback_encoders, feedback))
 
-    def decode_feedback(self, message: can.Message) -> Feedback:
+    def decode_feedback(self, message: ReceivedFrame) -> Feedback:
         """Read a feedback; a position beyond :data:`LARGEST_POSITION` is none.
 
         Raises
@@ -322,7 +299,7 @@ class DriveProfile:
             index = index._replace(counter=index.counter % self.index_counter_modulus)
         return self._index.data(_encode(self._index_encoders, index))
 
-    def decode_index(self, message: can.Message) -> Index:
+    def decode_index(self, message: ReceivedFrame) -> Index:
         """Read an index message."""
         if self._index is None:
             raise FrameRejected("identifier", message, "this drive has no index message")
@@ -348,7 +325,7 @@ class DriveProfile:
             heartbeat = heartbeat._replace(boot_counter=heartbeat.boot_counter % self.boot_counter_modulus)
         return self._heartbeat.data(_encode(self._heartbeat_encoders, heartbeat))
 
-    def decode_heartbeat(self, message: can.Message) -> Heartbeat:
+    def decode_heartbeat(self, message: ReceivedFrame) -> Heartbeat:
         """Read a heartbeat."""
         if self._heartbeat is None:
             raise FrameRejected("identifier", message, "this drive has no heartbeat")

@@ -1,0 +1,1 @@
+"""A drive whose frames a DBC file describes."""
