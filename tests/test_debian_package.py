@@ -16,7 +16,7 @@ import pytest
 
 from twostage_servo.cli.install_service import service_files
 from twostage_servo.cli.main import main
-from twostage_servo.machine import load_machine
+from twostage_servo.config.machine import load_machine
 from twostage_servo.service.assembly import compile_profile
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"

@@ -13,7 +13,7 @@ from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import build_parser
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE

@@ -16,7 +16,7 @@ import structlog
 from pydantic import BaseModel
 
 from twostage_servo.api.requests import Request
-from twostage_servo.config import ConfigError, load
+from twostage_servo.config.loader import ConfigError, load
 from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.drives.frame import FrameRejected

@@ -11,7 +11,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.braking_estimate import BrakingEstimate
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.state import State
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.control.plant import Plant
 
 EXAMPLE_2 = design_axis(load(Path("config/example2.toml")).config.axis, PERIOD_S)

@@ -22,7 +22,7 @@ from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import RULES, TripCode
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.control.plant import Plant
 
 IN_DOUBT = {code for code in TripCode if RULES[code].unreferenced}

@@ -14,7 +14,7 @@ from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.control.plant import Plant
 
 EXAMPLE_2 = design_axis(load(Path("config/example2.toml")).config.axis, PERIOD_S)

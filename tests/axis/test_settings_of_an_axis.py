@@ -16,7 +16,7 @@ from twostage_servo.axis.settings import (
     PlantSettings,
     WindowSettings,
 )
-from twostage_servo.settings import Settings
+from twostage_servo.settings.base import Settings
 
 NUMBERS: dict[type[Settings], str] = {
     PlantSettings: """

@@ -12,7 +12,7 @@ from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import BRAKING, State
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.control.hypotheses import ACCEPTED
 from twostage_servo.control.plant import Plant
 

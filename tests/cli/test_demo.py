@@ -10,7 +10,7 @@ import pytest
 
 from twostage_servo.cli.main import main
 from twostage_servo.cli.output import CommandError, ExitCode
-from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.config.loader import Config, LoadedConfig
 
 QUANTUM = 0.001  # of the effort in the shipped DBC
 

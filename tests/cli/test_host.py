@@ -10,9 +10,9 @@ from tests.host.machine import FakeKernel, fake_host
 from tests.host.test_can_interface import UP, healthy
 from twostage_servo.cli.host import examine
 from twostage_servo.cli.main import main
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
+from twostage_servo.config.machine import load_machine
 from twostage_servo.host.findings import Status
-from twostage_servo.machine import load_machine
 from twostage_servo.service.assembly import compile_profile, cyclic_frames
 from twostage_servo.timing.virtual_clock import VirtualClockLoop
 

@@ -7,7 +7,7 @@ from typing import Any, cast
 import pytest
 
 from twostage_servo.axis.state import State
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.faults.checks import noticed_early
 from twostage_servo.faults.world import World
 

@@ -9,13 +9,13 @@ from random import Random
 import pytest
 
 from twostage_servo.axis.machine import Machine as AxisMachine
-from twostage_servo.config import Config, LoadedConfig, load
+from twostage_servo.config.loader import Config, LoadedConfig, load
+from twostage_servo.config.machine import load_machine
 from twostage_servo.faults.campaign import Campaign
 from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.limits import Motion
 from twostage_servo.faults.table import BRAKED, TABLE, Phase
 from twostage_servo.faults.world import World
-from twostage_servo.machine import load_machine
 from twostage_servo.service.group import Group
 from twostage_servo.service.log import open_log
 

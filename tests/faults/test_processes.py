@@ -25,7 +25,7 @@ import pytest
 
 from twostage_servo.axis.state import State
 from twostage_servo.canbus.link import BusSettings
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.drives.dbc.profile import Feedback
 from twostage_servo.faults import approach, bench, power_cut
 from twostage_servo.faults.cell import Cell

@@ -14,8 +14,8 @@ from tests.service.test_several_axes import Plant, axis_page, machine_file, oper
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.cli.configuration import shipped_configuration
-from twostage_servo.config import ConfigError, load
-from twostage_servo.machine import Machine, load_machine
+from twostage_servo.config.loader import ConfigError, load
+from twostage_servo.config.machine import Machine, load_machine
 from twostage_servo.service.assembly import (
     build_service,
     compile_profile,

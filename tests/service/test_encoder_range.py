@@ -2,7 +2,7 @@
 
 import pytest
 
-from twostage_servo.config import ConfigError, load
+from twostage_servo.config.loader import ConfigError, load
 from twostage_servo.service.assembly import build_service
 
 RANGE = "protocol.feedback.position_scale=1.52587890625e-5"

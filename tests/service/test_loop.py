@@ -14,7 +14,7 @@ from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import LinkError
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.drives.dbc.profile import Command
 from twostage_servo.service.assembly import build_axis, put_axes_in
 from twostage_servo.service.settings import stop_ms

@@ -10,12 +10,12 @@ from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.cli.configuration import shipped_configuration
-from twostage_servo.config import ConfigError, load
+from twostage_servo.config.loader import ConfigError, load
+from twostage_servo.config.machine import Machine
 from twostage_servo.drives.dbc.compiler import dbc_digest
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.drives.protocol_error import ProtocolError
-from twostage_servo.machine import Machine
 from twostage_servo.service.assembly import reload_machine
 
 RELOAD = ReloadRequest(op="reload")

@@ -18,8 +18,8 @@ from twostage_servo.api.requests import ReloadRequest
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import State
-from twostage_servo.config import load
-from twostage_servo.machine import Machine
+from twostage_servo.config.loader import load
+from twostage_servo.config.machine import Machine
 from twostage_servo.service import assembly
 from twostage_servo.service import reloading as module
 from twostage_servo.service.assembly import frames_of

@@ -18,8 +18,8 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link
 from twostage_servo.cli.configuration import shipped_configuration
-from twostage_servo.config import ConfigError
-from twostage_servo.machine import load_machine
+from twostage_servo.config.loader import ConfigError
+from twostage_servo.config.machine import load_machine
 from twostage_servo.service.assembly import build_service, reload_machine
 from twostage_servo.service.loop import ServoService
 from twostage_servo.simulation.bus import Wire

@@ -25,7 +25,7 @@ from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.messages import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.cli.main import main as run_verb
-from twostage_servo.machine import load_machine
+from twostage_servo.config.machine import load_machine
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.log import open_log
 from twostage_servo.service.loop import ServoService

@@ -13,8 +13,8 @@ from bench.plan import PATIENT
 from twostage_servo.api.requests import ArmRequest, MoveRequest, Request
 from twostage_servo.axis.messages import Refused
 from twostage_servo.canbus.link import Link
-from twostage_servo.config import Config, LoadedConfig, load
-from twostage_servo.machine import Machine
+from twostage_servo.config.loader import Config, LoadedConfig, load
+from twostage_servo.config.machine import Machine
 from twostage_servo.service.assembly import build_service
 from twostage_servo.service.loop import ServoService
 from twostage_servo.simulation.bus import Wire

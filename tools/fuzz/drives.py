@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from twostage_servo.axis.settings import LimitSettings
 from twostage_servo.canbus.identifier import Identifier
-from twostage_servo.config import Config, LoadedConfig, load
+from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.drives.dbc.checksum import CHECKSUMS
 from twostage_servo.drives.dbc.profile import LARGEST_POSITION, DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings

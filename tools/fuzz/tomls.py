@@ -21,7 +21,7 @@ from fuzz.drives import Drive
 from fuzz.outcome import Outcome
 from fuzz.reproducible import reproducible
 from twostage_servo.axis.state import State
-from twostage_servo.config import Config, ConfigError, LoadedConfig, load
+from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
 from twostage_servo.service.assembly import build_service
 
 PER_EPISODE = 25

@@ -23,7 +23,7 @@ from random import Random
 from typing import Any
 
 from twostage_servo.axis.detection import detections
-from twostage_servo.config import Config, ConfigError, LoadedConfig, load
+from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
 from twostage_servo.service.assembly import build_service, design
 
 GATES = (0.025, 0.1, 0.25, 0.5)

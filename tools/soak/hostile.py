@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from hub_gate import HubGate, Mode
 
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.faults.bench import bench_overrides
 
 MOST_GROWTH_MB: Final = 1.0

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, TypeAdapter, model_validator
 
-from twostage_servo.settings import Settings, quantity
+from twostage_servo.settings.base import Settings, quantity
 
 Position = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
 

@@ -5,7 +5,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from twostage_servo.exact import exact
-from twostage_servo.settings import Settings, quantity
+from twostage_servo.settings.base import Settings, quantity
 
 _BACK_OFF_WINDOWS = 20.0
 """Position windows by which a hard stop is left, where the settings do not say."""

@@ -7,7 +7,7 @@ import can
 from pydantic import Field, field_validator, model_validator
 
 from twostage_servo.canbus.bus_load import most_frames
-from twostage_servo.settings import Settings, quantity
+from twostage_servo.settings.base import Settings, quantity
 
 _OWN_ARGUMENTS: Final = frozenset(
     {"interface", "channel", "bitrate", "can_filters", "ignore_config", "config_context", "receive_own_messages", "fd"}

@@ -7,7 +7,7 @@ from twostage_servo.axis.state import MOVING, State
 from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.cli.demonstration import Demonstration
 from twostage_servo.cli.output import Progress
-from twostage_servo.config import load
+from twostage_servo.config.loader import load
 from twostage_servo.paper.examples import SET_POINT, VELOCITY, Example
 from twostage_servo.paper.experiment import Run, simulate
 from twostage_servo.paper.frames import EXTRA_DELAY_MS, FramesComparison

@@ -10,8 +10,8 @@ from twostage_servo.cli.output import CommandError, ExitCode
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from twostage_servo.config import Config, LoadedConfig
-    from twostage_servo.machine import Machine
+    from twostage_servo.config.loader import Config, LoadedConfig
+    from twostage_servo.config.machine import Machine
 
 
 def add_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
@@ -58,7 +58,7 @@ def load_machine(options: argparse.Namespace) -> "Machine":
     CommandError
         With every problem of the configuration.
     """
-    from twostage_servo import machine
+    from twostage_servo.config import machine
 
     with configuration_problems():
         return machine.load_machine(find_configuration(options.config), options.overrides)
@@ -71,9 +71,9 @@ def configuration_problems() -> "Iterator[None]":
     Raises
     ------
     CommandError
-        In place of a :class:`twostage_servo.config.ConfigError`.
+        In place of a :class:`twostage_servo.config.loader.ConfigError`.
     """
-    from twostage_servo.config import ConfigError
+    from twostage_servo.config.loader import ConfigError
 
     try:
         yield

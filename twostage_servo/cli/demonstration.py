@@ -11,7 +11,7 @@ from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.cli.output import Progress, bar
-from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.service.assembly import build_service
 from twostage_servo.simulation.drive import SimulatedDrive

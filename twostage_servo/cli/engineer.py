@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from twostage_servo.axis.design import AxisDesign
-    from twostage_servo.config import Config, ConfigError, LoadedConfig
-    from twostage_servo.machine import Machine
+    from twostage_servo.config.loader import Config, ConfigError, LoadedConfig
+    from twostage_servo.config.machine import Machine
     from twostage_servo.service.station import Station
 
 _UNIT_WAITS_S = 15.0
@@ -46,8 +46,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 def _check(options: argparse.Namespace) -> ExitCode:
     from pathlib import Path
 
-    from twostage_servo.config import Config, describe
-    from twostage_servo.machine import MachineConfig
+    from twostage_servo.config.loader import Config, describe
+    from twostage_servo.config.machine import MachineConfig
     from twostage_servo.service.assembly import build_service
     from twostage_servo.service.settings import longest_end_s
 

@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from twostage_servo.axis.design import AxisDesign
-    from twostage_servo.config import Config, LoadedConfig
+    from twostage_servo.config.loader import Config, LoadedConfig
+    from twostage_servo.config.machine import Machine
     from twostage_servo.host.findings import Finding, Host
     from twostage_servo.host.latency import Measurement, Verdict
     from twostage_servo.host.realtime import Grant, RealtimeReport
-    from twostage_servo.machine import Machine
     from twostage_servo.timing.ticks import Tick
 
 _LONGEST_S = 86_400.0
@@ -212,7 +212,7 @@ def _doctor(options: argparse.Namespace) -> ExitCode:
 
 def _designs(machine: "Machine") -> "Iterator[AxisDesign]":
     """Yield the design of each axis that can be designed; what is wrong with another is for `check` to say."""
-    from twostage_servo.config import ConfigError
+    from twostage_servo.config.loader import ConfigError
     from twostage_servo.service.assembly import design
 
     for loaded in machine.axes:

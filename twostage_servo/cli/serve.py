@@ -11,9 +11,9 @@ if TYPE_CHECKING:
     import asyncio
     from collections.abc import Callable, Iterator
 
-    from twostage_servo.config import Config
+    from twostage_servo.config.loader import Config
+    from twostage_servo.config.machine import Machine
     from twostage_servo.drives.dbc.profile import DriveProfile
-    from twostage_servo.machine import Machine
     from twostage_servo.service.ending_signals import EndingSignals
     from twostage_servo.service.loop import ServoService
     from twostage_servo.service.notify import Notifier

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Self
 
 from twostage_servo.canbus.link import LinkError
-from twostage_servo.config import Config, LoadedConfig, load
+from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import Listener, Operator, Snapshot
 from twostage_servo.service.assembly import compile_profile

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.config.loader import Config, LoadedConfig
+from twostage_servo.config.machine import Machine
 from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.limits import Motion
@@ -23,7 +24,6 @@ from twostage_servo.faults.table import (
     Fault,
     Phase,
 )
-from twostage_servo.machine import Machine
 from twostage_servo.service.assembly import compile_profile, design
 from twostage_servo.timing.virtual_clock import run
 

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from twostage_servo.config import Config, ConfigError, LoadedConfig, load
+from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.table import REFUSED, TOLERATED, Phase
 from twostage_servo.service.assembly import build_service, compile_profile

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
 from twostage_servo.axis.detection import slowest_certain_velocity
-from twostage_servo.config import Config
+from twostage_servo.config.loader import Config
 from twostage_servo.control.mismatch import NOISE_SHARE
 
 

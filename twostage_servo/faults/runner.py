@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from twostage_servo.config.machine import load_machine
 from twostage_servo.faults.campaign import Campaign
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE, Phase
-from twostage_servo.machine import load_machine
 from twostage_servo.service.log import open_log
 from twostage_servo.worker_process import end_with_parent
 
@@ -61,7 +61,7 @@ def run_campaign(
     Parameters
     ----------
     path, overrides
-        The configuration, as for :func:`twostage_servo.machine.load_machine`.
+        The configuration, as for :func:`twostage_servo.config.machine.load_machine`.
     seed
         Of everything that is random.
     faults

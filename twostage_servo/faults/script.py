@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.state import COMMANDED, State
+from twostage_servo.config.machine import Machine
 from twostage_servo.control.two_stage import Stage
 from twostage_servo.faults.plan import CRUISE_S, LONG_CRUISE_S, cruise_end, plan_target, settling_begin
 from twostage_servo.faults.table import (
@@ -21,7 +22,6 @@ from twostage_servo.faults.table import (
     Phase,
 )
 from twostage_servo.faults.world import Sample, World, operate
-from twostage_servo.machine import Machine
 from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:

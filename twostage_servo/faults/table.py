@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from random import Random
 
 from twostage_servo.axis.trips import Reaction
-from twostage_servo.config import Config
+from twostage_servo.config.loader import Config
 from twostage_servo.control.hypotheses import ACCEPTED, OTHER_GAINS
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings

@@ -4,7 +4,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from twostage_servo.settings import Settings, quantity
+from twostage_servo.settings.base import Settings, quantity
 
 
 class RealtimeSettings(Settings):

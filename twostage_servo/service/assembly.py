@@ -13,11 +13,11 @@ from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.detection import check_detection
 from twostage_servo.canbus.bus_load import CyclicFrame, bus_load
 from twostage_servo.canbus.link import BusSettings, Link
-from twostage_servo.config import Config, LoadedConfig
+from twostage_servo.config.loader import Config, LoadedConfig
+from twostage_servo.config.machine import Machine
 from twostage_servo.drives.dbc.compiler import dbc_digest
 from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat
 from twostage_servo.drives.protocol_error import ProtocolError
-from twostage_servo.machine import Machine
 from twostage_servo.service.loop import ServoService
 from twostage_servo.service.port import Port
 from twostage_servo.service.settings import ServiceSettings

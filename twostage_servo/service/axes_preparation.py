@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from twostage_servo.config import ConfigError
-from twostage_servo.machine import Machine, load_machine
+from twostage_servo.config.loader import ConfigError
+from twostage_servo.config.machine import Machine, load_machine
 from twostage_servo.service.assembly import DriveFrames, prepare_axes
 
 
@@ -22,7 +22,7 @@ class Job(NamedTuple):
     Attributes
     ----------
     path, overrides
-        The configuration, as in :func:`~twostage_servo.machine.load_machine`.
+        The configuration, as in :func:`~twostage_servo.config.machine.load_machine`.
     running
         A pickle of the machine that runs.
     frames

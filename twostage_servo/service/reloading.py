@@ -20,7 +20,7 @@ from twostage_servo.worker_thread import WorkerThread
 
 if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis
-    from twostage_servo.machine import Machine
+    from twostage_servo.config.machine import Machine
     from twostage_servo.service.loop import ServoService
 
 LONGEST_S: Final = 60.0
@@ -41,7 +41,7 @@ class Reloading:
     running
         The configuration that it runs on.
     path, overrides
-        What is read again; see :func:`~twostage_servo.machine.load_machine`.
+        What is read again; see :func:`~twostage_servo.config.machine.load_machine`.
     carry_out
         Has the job done, in a thread: by a process, if not told otherwise.
     """

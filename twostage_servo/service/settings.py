@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from pydantic import Field
 
-from twostage_servo.settings import Settings, quantity
+from twostage_servo.settings.base import Settings, quantity
 
 if TYPE_CHECKING:
     from twostage_servo.axis.design import AxisDesign

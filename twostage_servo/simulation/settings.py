@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from twostage_servo.settings import Settings, quantity
+from twostage_servo.settings.base import Settings, quantity
 
 
 def _place(description: str) -> Any:

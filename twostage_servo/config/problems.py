@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from twostage_servo.settings import Settings
-from twostage_servo.settings_reference import Located, describe, key_text, locate, row, table_of, value_text
-from twostage_servo.toml_lines import Path
+from twostage_servo.config.toml_lines import Path
+from twostage_servo.settings.base import Settings
+from twostage_servo.settings.reference import Located, describe, key_text, locate, row, table_of, value_text
 
 _LONGEST_KEY_LIST = 24
 _MOST_PROBLEMS = 100

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twostage_servo.toml_lines import Clash, Path, find_clash, key_lines, split_key
+from twostage_servo.config.toml_lines import Clash, Path, find_clash, key_lines, split_key
 
 SCALARS = st.sampled_from(
     [

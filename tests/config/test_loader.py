@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.machine_settings import VALID, Machine, only_problem, refused, write
-from twostage_servo.config import Config, ConfigError, Problem, describe, load, load_as
-from twostage_servo.settings import Settings
+from twostage_servo.config.loader import Config, ConfigError, Problem, describe, load, load_as
+from twostage_servo.settings.base import Settings
 
 VELOCITY_NEEDED = "a number is needed, in axis unit/s, greater than 0, at most 10000 (Largest cruise velocity)"
 
@@ -315,7 +315,7 @@ def test_a_mutated_file_raises_nothing_else(text: str) -> None:
 
 
 @FUZZ
-@given(mutations((Path(__file__).parent.parent / "config" / "demo.toml").read_text("utf-8")))
+@given(mutations((Path(__file__).parents[2] / "config" / "demo.toml").read_text("utf-8")))
 def test_a_mutated_demo_raises_nothing_else(text: str) -> None:
     accept_or_refuse(Config, write(text), [])
 

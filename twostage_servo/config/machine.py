@@ -12,10 +12,10 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from twostage_servo.config import Config, ConfigError, LoadedConfig, Problem, load, load_as
+from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, Problem, load, load_as
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.settings import ServiceSettings
-from twostage_servo.settings import Settings
+from twostage_servo.settings.base import Settings
 
 _FOR_AN_AXIS = re.compile(r"(\w[\w.-]*):(.*)", re.DOTALL)
 

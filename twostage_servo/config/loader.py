@@ -15,15 +15,15 @@ from typing import Any, Generic, NoReturn, TypeVar
 
 from pydantic import Field, ValidationError
 
-from twostage_servo import toml_lines
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.canbus.link import BusSettings
-from twostage_servo.config_problems import ConfigError, Document, Override, Problem, validation_problems
+from twostage_servo.config import toml_lines
+from twostage_servo.config.problems import ConfigError, Document, Override, Problem, validation_problems
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.settings import ServiceSettings
-from twostage_servo.settings import Settings
-from twostage_servo.settings_reference import describe, key_text
+from twostage_servo.settings.base import Settings
+from twostage_servo.settings.reference import describe, key_text
 from twostage_servo.simulation.settings import SimulationSettings
 
 __all__ = ["Config", "ConfigError", "LoadedConfig", "Problem", "describe", "load", "load_as"]
