@@ -23,8 +23,8 @@ from twostage_servo.axis.messages import Command, Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.config.loader import load
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.margins import closed_loop_poles
-from twostage_servo.control.two_stage import Stage
 from twostage_servo.service.assembly import design
 
 LINEAR = KINDS[0]

@@ -10,11 +10,11 @@ import pytest
 from tests.axis.rig import DEMO, PERIOD_S, axis_settings
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.settings import AxisSettings
-from twostage_servo.control.hypotheses import OTHER_GAINS
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.margins import Margins, loop_margins
+from twostage_servo.control.model_monitor.hypotheses import OTHER_GAINS
 from twostage_servo.control.observer import NO_CORRECTION
 from twostage_servo.control.plant import Plant
-from twostage_servo.control.two_stage import Stage
 
 GAIN, POLE = 180.0, 14.0
 
@@ -64,9 +64,9 @@ def test_the_variances_reach_the_noise_model_in_their_order() -> None:
     assert (noise.measurement_variance, noise.disturbance_memory) == (0.05, 0.9)
 
 
-def test_the_model_test_is_of_the_same_plant() -> None:
+def test_the_model_monitor_is_of_the_same_plant() -> None:
     """What its hypotheses predict for an effort of 1 after a period is b1 of their plants."""
-    test = demo().build_model_test()
+    test = demo().build_model_monitor()
     test.predict(1.0)
     model = demo().settings.plant
     expected = [
@@ -76,9 +76,9 @@ def test_the_model_test_is_of_the_same_plant() -> None:
     assert [observer.position for observer in test._gains] == pytest.approx(expected)
 
 
-def test_the_model_test_takes_noise_and_dates_from_the_settings() -> None:
+def test_the_model_monitor_takes_noise_and_dates_from_the_settings() -> None:
     """A standard deviation of 0.1 mm and 3 ms, 0.8 mm at 100 mm/s in all; 1.25 of the one, a quarter of the other."""
-    test = demo().build_model_test()
+    test = demo().build_model_monitor()
     test.update(0.0, 0.0, demo().build_law().observer, 100.0)
     assert test._least == pytest.approx(1.25 * 0.1 + 0.25 * 0.003 * 100.0)
 

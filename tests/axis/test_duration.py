@@ -12,8 +12,8 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import DesignError, design_axis
 from twostage_servo.axis.duration import MoveDuration
 from twostage_servo.axis.state import State
+from twostage_servo.control.baselines.transcription import TranscribedLaw
 from twostage_servo.control.optimal import ServoGains
-from twostage_servo.control.yardsticks.transcription import TranscribedLaw
 
 DESIGN = design_axis(axis_settings(), PERIOD_S)
 WINDOW = DESIGN.settings.window.position

@@ -8,7 +8,7 @@ import pytest
 from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.homing import Homing, HomingFailed
-from twostage_servo.control.two_stage import Stage
+from twostage_servo.control.laws.paper import Stage
 
 SEARCH = {"velocity": 40.0, "slow_velocity": 20.0, "travel": 300.0, "effort": 4.0, "stop_time_ms": 50.0}
 

@@ -9,7 +9,7 @@ import pytest
 from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.motion import Motion
-from twostage_servo.control.two_stage import Stage
+from twostage_servo.control.laws.paper import Stage
 
 DESIGN = design_axis(axis_settings(), PERIOD_S)
 """An innovation of 0.5 mm and 3 ms of speed is believed; a jam takes 5 ticks."""
@@ -396,7 +396,7 @@ def test_what_a_sample_corrects_stands_and_what_the_model_predicts_does_not() ->
     speeds = []
     for seen in (True, False):
         bench = Bench().holding()
-        bench.motion.model_test.is_sure = False
+        bench.motion.model_monitor.is_sure = False
         for _ in range(30):
             bench.observer.velocity = 50.0
             bench.step(bench.observer.position + 0.2 if seen else None)
@@ -451,8 +451,8 @@ def test_the_model_is_judged_by_the_speed_of_late_which_fades_in_5_s() -> None:
     told: list[Any] = []
     predicted: list[float] = []
     bench = Bench(0.0).holding()
-    test: Any = bench.motion.model_test
-    bench.motion.model_test = SimpleNamespace(  # type: ignore[assignment]
+    test: Any = bench.motion.model_monitor
+    bench.motion.model_monitor = SimpleNamespace(  # type: ignore[assignment]
         update=lambda sample, effort, _, speed, lag_s: told.append((sample, effort, speed)),
         is_sure=True,
         predict=predicted.append,

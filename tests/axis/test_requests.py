@@ -12,7 +12,7 @@ from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import Move
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.two_stage import Stage
+from twostage_servo.control.laws.paper import Stage
 
 SEARCH: dict[str, Any] = {"method": "index", "velocity": 40.0, "slow_velocity": 5.0, "travel": 300.0, "position": 12.0}
 

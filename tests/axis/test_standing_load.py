@@ -5,7 +5,7 @@ import pytest
 from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.standing_load import StandingLoad
-from twostage_servo.control.hypotheses import ACCEPTED
+from twostage_servo.control.model_monitor.hypotheses import ACCEPTED
 
 DESIGN = design_axis(axis_settings(), PERIOD_S)
 FRICTION = 14.0 / 180.0

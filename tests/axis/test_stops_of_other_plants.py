@@ -13,7 +13,7 @@ from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.config.loader import load
-from twostage_servo.control.hypotheses import ACCEPTED
+from twostage_servo.control.model_monitor.hypotheses import ACCEPTED
 from twostage_servo.control.plant import Plant
 
 SHIPPED = sorted(path.name for path in Path("config").glob("*.toml") if "[axis.plant]" in path.read_text())

@@ -11,7 +11,7 @@ from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.state import State
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.two_stage import Stage
+from twostage_servo.control.laws.paper import Stage
 
 DESIGN = design_axis(axis_settings(position_minimum=-100.0, position_maximum=250.0), PERIOD_S)
 """Overspeed 320 mm/s, overrun 20 mm, rest 2.5 mm/s, window 0.05 mm for 10 ticks, jam 2.5 V for 5 ticks, 24 V for 50."""
@@ -30,7 +30,7 @@ def motion(**changes: Any) -> Any:
     whole = SimpleNamespace(
         law=law,
         nominal=SimpleNamespace(observer=SimpleNamespace(position=0.0, velocity=0.0)),
-        model_test=SimpleNamespace(better_factor=None, surprise=1.0, seems_to_stand=False),
+        model_monitor=SimpleNamespace(better_factor=None, surprise=1.0, seems_to_stand=False),
         blind=False,
         implausible=0,
         implausible_distance=0.0,
@@ -127,31 +127,31 @@ def test_where_position_limits_count(state: State, watched: bool) -> None:
 
 
 def test_an_axis_that_brakes_or_looks_for_a_hard_stop_is_held_to_less() -> None:
-    broken = motion(following_error=1e6, model_test__better_factor=0.5)
+    broken = motion(following_error=1e6, model_monitor__better_factor=0.5)
     both = [TripCode.MODEL_MISMATCH, TripCode.FOLLOWING_ERROR]
     assert codes(broken) == codes(broken, State.HOMING, method="switch") == both
     assert codes(broken, method="hard_stop") == both
     assert codes(broken, State.STOPPING) == [TripCode.MODEL_MISMATCH]  # watched while braking as well
     assert codes(broken, State.HOMING, method="hard_stop") == []
-    broken.model_test.better_factor = -1.0
+    broken.model_monitor.better_factor = -1.0
     assert codes(broken, State.HOMING, method="hard_stop") == [TripCode.SIGN_REVERSED]
     assert codes(broken)[0] is TripCode.SIGN_REVERSED
-    broken.model_test.better_factor = 0.0  # what a hard stop does
+    broken.model_monitor.better_factor = 0.0  # what a hard stop does
     assert codes(broken, State.HOMING, method="hard_stop") == []
     assert codes(broken, State.STOPPING) == [TripCode.JAM]
-    broken.model_test.better_factor = 2.0  # which no hard stop does
+    broken.model_monitor.better_factor = 2.0  # which no hard stop does
     assert codes(broken, State.HOMING, method="hard_stop") == [TripCode.MODEL_MISMATCH]
 
 
 def test_a_blind_axis_is_not_held_to_what_it_does_not_see() -> None:
-    blind = motion(blind=True, model_test__better_factor=-1.0)
+    blind = motion(blind=True, model_monitor__better_factor=-1.0)
     assert codes(blind, State.TRIPPED_QUICK_STOP) == []
 
 
 def test_the_cause_names_what_is_wrong() -> None:
     for changes, words in (
-        ({"model_test__better_factor": -1.0}, "mm of late; the sign of encoder or effort is wrong"),
-        ({"model_test__better_factor": 0.5}, "mm of late; the scale of encoder or effort is wrong"),
+        ({"model_monitor__better_factor": -1.0}, "mm of late; the sign of encoder or effort is wrong"),
+        ({"model_monitor__better_factor": 0.5}, "mm of late; the scale of encoder or effort is wrong"),
         ({"law__observer__velocity": 400.0}, "velocity is 400 mm/s; axis.limits.overspeed is 320"),
     ):
         causes = [
@@ -263,7 +263,7 @@ def test_an_encoder_that_shows_one_position_while_the_effort_changes_by_2_5_v_is
 
 
 def test_half_the_jam_time_is_enough_where_only_a_standing_encoder_explains_the_samples() -> None:
-    there = motion(unchanged_effort=2.5, model_test__seems_to_stand=True)
+    there = motion(unchanged_effort=2.5, model_monitor__seems_to_stand=True)
     supervision = Supervision(DESIGN, there)
     assert first_tick(supervision, TripCode.JAM) == 3
     supervision.start()

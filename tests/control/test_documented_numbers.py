@@ -1,10 +1,10 @@
 """Numbers that the paper prints or the documentation names, as they are there."""
 
+from twostage_servo.control.baselines.transcription import Reading
+from twostage_servo.control.laws.paper import BRAKING_SHARE, REST_TICKS, SPEED_TOLERANCE, Stage, braking_gain
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel
 from twostage_servo.control.optimal import WEIGHTS, ServoGains
 from twostage_servo.control.plant import DiscretePlant
-from twostage_servo.control.two_stage import BRAKING_SHARE, REST_TICKS, SPEED_TOLERANCE, Stage, braking_gain
-from twostage_servo.control.yardsticks.transcription import Reading
 
 PLANT = DiscretePlant(period_s=0.01, a12=0.01, a22=0.5, b1=0.25, b2=2.0)
 

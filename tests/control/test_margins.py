@@ -4,11 +4,11 @@ import control
 import numpy as np
 import pytest
 
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.margins import closed_loop_poles, controller, loop_margins
 from twostage_servo.control.observer import KalmanGain, NoiseModel, kalman_gain
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant
-from twostage_servo.control.two_stage import Stage
 
 PLANT = Plant(180.0, 14.0).discretise(0.01)
 NOISE = NoiseModel()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.margins import (
     Margins,
     _gain_margins,
@@ -17,7 +18,6 @@ from twostage_servo.control.margins import (
 from twostage_servo.control.observer import NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant
-from twostage_servo.control.two_stage import Stage
 
 PLANT = Plant(180.0, 14.0).discretise(0.01)
 NOISE = NoiseModel()

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.margins import closed_loop_poles
 from twostage_servo.control.observer import NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import Plant
-from twostage_servo.control.two_stage import Stage
 
 Matrix = NDArray[np.float64]
 PERIOD_S = 0.01

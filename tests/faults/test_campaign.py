@@ -21,7 +21,7 @@ from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import main
 from twostage_servo.config.loader import load
-from twostage_servo.control.two_stage import TwoStageLaw
+from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.faults.campaign import Campaign
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.configuration import ConfigurationFaults

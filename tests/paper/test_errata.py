@@ -4,11 +4,11 @@ import re
 
 import pytest
 
+from twostage_servo.control.baselines.transcription import UnsolvableError
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.margins import closed_loop_poles
 from twostage_servo.control.observer import NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
-from twostage_servo.control.two_stage import Stage
-from twostage_servo.control.yardsticks.transcription import UnsolvableError
 from twostage_servo.paper.errata import ERRATA, Erratum
 from twostage_servo.paper.examples import EXAMPLE_1, EXAMPLE_2, NOISE, PERIOD_S, VELOCITY, Example
 from twostage_servo.paper.experiment import simulate

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from twostage_servo.control.law import Law
+from twostage_servo.control.baselines.transcription import Reading
+from twostage_servo.control.laws.law import Law
 from twostage_servo.control.plant import Plant
-from twostage_servo.control.yardsticks.transcription import Reading
 from twostage_servo.paper.examples import EXAMPLE_1, EXAMPLE_2, EXAMPLES, Example
 from twostage_servo.paper.experiment import DrivenPlant, Run, simulate
 from twostage_servo.paper.methods import METHODS, Builder, Sensor, transcribed

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from twostage_servo.control.yardsticks.transcription import Reading
+from twostage_servo.control.baselines.transcription import Reading
 from twostage_servo.paper.errata import ERRATA
 from twostage_servo.paper.examples import EXAMPLE_1, EXAMPLE_2, EXAMPLES, MODEL, Example
 from twostage_servo.paper.experiment import simulate

@@ -22,7 +22,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.two_stage import TwoStageLaw
+from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.service import trip_files
 from twostage_servo.service.recorder import Record
 from twostage_servo.service.trip_files import KEPT, TripFiles, default_folder, write_file

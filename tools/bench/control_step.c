@@ -1,7 +1,7 @@
 /* The control step in C, called from Python as the service's own is: a float in, a float out. Once as a method of a
  * module, which is the quickest way there is, and once as a plain function for ctypes.
  *
- * The same equations as twostage_servo/control/observer.py and two_stage.py: the observer's update, both stages, the
+ * The same equations as twostage_servo/control/observer.py and laws/paper.py: the observer's update, both stages, the
  * change-over, the ramp, the limits of effort and of its rate. Left out is what those do not take part in: stopping.
  */
 #define PY_SSIZE_T_CLEAN

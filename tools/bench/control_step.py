@@ -23,10 +23,10 @@ from bench.children import json_of, module
 from bench.packages import what_is_missing
 from bench.plan import PERIOD_S, Plan
 from bench.summary import summarise
+from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, extended_model, kalman_gain
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant
-from twostage_servo.control.two_stage import TwoStageLaw
 
 Step = Callable[[float], float]
 

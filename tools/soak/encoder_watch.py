@@ -22,7 +22,7 @@ from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
 from twostage_servo.axis.detection import allowed_travel, slowest_certain_velocity
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
 from twostage_servo.axis.state import BRAKING, COMMANDED, DRIVEN
-from twostage_servo.control.mismatch import DATE_SHARE, NOISE_SHARE
+from twostage_servo.control.model_monitor.monitor import DATE_SHARE, NOISE_SHARE
 
 ENCODER_FACTORS = {"turned round": -1.0, "counting double": 2.0, "counting half": 0.5, "frozen": 0.0}
 """What can become of an encoder, and how many units it then counts for one."""

@@ -4,8 +4,9 @@ import math
 from dataclasses import dataclass
 
 from twostage_servo.axis.settings import AxisSettings
+from twostage_servo.control.laws.paper import Stage, TwoStageLaw, ending_share
 from twostage_servo.control.margins import closed_loop_poles, loop_margins
-from twostage_servo.control.mismatch import ModelTest
+from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import (
     NO_CORRECTION,
     DisturbanceObserver,
@@ -15,7 +16,6 @@ from twostage_servo.control.observer import (
 )
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant, Triple
-from twostage_servo.control.two_stage import Stage, TwoStageLaw, ending_share
 
 REST_SHARE = 0.01
 """Share of the velocity limit at or below which the axis counts as at rest: 2.5 mm/s of the demo's 250."""
@@ -71,10 +71,10 @@ class AxisDesign:
         observer = DisturbanceObserver(self.plant, NO_CORRECTION)
         return TwoStageLaw(observer, self.gains, self.period_s)
 
-    def build_model_test(self) -> ModelTest:
+    def build_model_monitor(self) -> ModelMonitor:
         """Return the test that compares the plant's answer with the model's."""
         plant = Plant(self.settings.plant.gain, self.settings.plant.pole)
-        return ModelTest(plant, self.period_s, self.noise, 1e-3 * self.settings.limits.innovation_time_ms)
+        return ModelMonitor(plant, self.period_s, self.noise, 1e-3 * self.settings.limits.innovation_time_ms)
 
     def changeover_distance(self, velocity: float) -> float:
         """Return the change-over distance p of equation (19), in axis unit, for a velocity in axis unit/s."""

@@ -5,7 +5,7 @@ import math
 from bisect import bisect_left
 
 from twostage_servo.axis.design import AxisDesign, DesignError
-from twostage_servo.control.two_stage import Stage, TwoStageLaw
+from twostage_servo.control.laws.paper import Stage, TwoStageLaw
 
 _CRUISE_TIMES = 20.0
 """Change-over times of cruise after which the speed has settled for good."""

@@ -6,7 +6,7 @@ from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.settings import HomingSettings
-from twostage_servo.control.two_stage import Stage
+from twostage_servo.control.laws.paper import Stage
 
 _TICKS_AHEAD = 3
 """Ticks by which an index mark may be ahead of the samples."""

@@ -16,7 +16,7 @@ from twostage_servo.axis.state import BRAKING, CIA402, COMMANDED, DRIVEN, ENABLE
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import EVENTS, RULES, Trip, TripCode
 from twostage_servo.control.estimate import Estimate
-from twostage_servo.control.two_stage import Stage, TwoStageLaw
+from twostage_servo.control.laws.paper import Stage, TwoStageLaw
 
 _DISABLED_TICKS = 2
 """Disable commands that must have left before the axis may be armed: one may have been lost."""

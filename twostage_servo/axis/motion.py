@@ -8,7 +8,7 @@ from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
-from twostage_servo.control.two_stage import Stage
+from twostage_servo.control.laws.paper import Stage
 
 IMPLAUSIBLE_SAMPLES = 2
 """Samples in a row beyond the innovation limit that are a fault: one is a spike, two are not."""
@@ -53,7 +53,7 @@ class Motion:
         Samples in a row, up to now, that lay farther from their prediction than the limit.
     implausible_distance
         How far the last of them did, in axis unit.
-    model_test
+    model_monitor
         Whether the plant answers the effort as the model says.
     unchanged_effort
         By how much the effort (effort unit) has changed since the encoder last showed another position.
@@ -64,7 +64,7 @@ class Motion:
         self.nominal = design.build_nominal_law()
         self.predicted = 0
         self.implausible_distance = 0.0
-        self.model_test = design.build_model_test()
+        self.model_monitor = design.build_model_monitor()
         self._gap = SampleGap(design)
         self._braking = BrakingEstimate(design)
         self._load = StandingLoad(design)
@@ -107,7 +107,7 @@ class Motion:
         self.law.start()
         self._effort = effort
         self.nominal.continue_from(self.law)
-        self.model_test.start(self.law.observer, effort)
+        self.model_monitor.start(self.law.observer, effort)
         self._gap.close()
         self._braking.start(self.law.observer, effort)
         self._load.start()
@@ -134,7 +134,7 @@ class Motion:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         self.law.shift(distance)
         self.nominal.shift(distance)
-        self.model_test.shift(distance)
+        self.model_monitor.shift(distance)
         self._tracked += distance
         self._unchanged = None
         self._recent.clear()
@@ -162,7 +162,7 @@ class Motion:
             self._gap.miss(law.observer, law.effort)
             law.skip(1)
             self._path.append(law.observer.position)
-            self.model_test.predict(law.effort)
+            self.model_monitor.predict(law.effort)
         self.nominal.skip(periods)
 
     def step(self) -> float:
@@ -181,9 +181,9 @@ class Motion:
         if sample is None:
             self.predicted += 1
         if sample is None or lag:  # one from before a gap says nothing of how the plant has answered since
-            self.model_test.predict(before)
+            self.model_monitor.predict(before)
         elif self._skipped >= _LONG_GAP_TICKS:
-            self.model_test.start(self.law.observer, before)
+            self.model_monitor.start(self.law.observer, before)
             if not self._gap.allowance:
                 self._skipped = 0
         else:
@@ -192,13 +192,13 @@ class Motion:
             self._speed_of_late = max(_FADING * self._speed_of_late, abs(self.law.observer.velocity))
             shown = self._drive.position
             assert shown is not None  # noqa: S101 - the sample is made from it
-            self.model_test.update(shown, before, self.law.observer, self._speed_of_late, self._lag_s)
+            self.model_monitor.update(shown, before, self.law.observer, self._speed_of_late, self._lag_s)
         if sample is not None:
             self._compare_with_the_last()
         self._note_load()
         corrected = sample is not None and not lag
         self._braking.note(
-            self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_test.is_sure
+            self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_monitor.is_sure
         )
         return self._effort
 
@@ -254,8 +254,8 @@ class Motion:
 
         An encoder that shows one and the same position is taken to stand still, whichever hypothesis has told it first.
         """
-        factor = 0.0 if self._stands else self.model_test.better_factor or 0.0
-        reckoning = self.model_test.reckon(factor)
+        factor = 0.0 if self._stands else self.model_monitor.better_factor or 0.0
+        reckoning = self.model_monitor.reckon(factor)
         self.go_blind()
         observer = self.law.observer
         observer.velocity, observer.disturbance = reckoning

@@ -9,7 +9,7 @@ has that much.
 from typing import Final
 
 from twostage_servo.axis.design import AxisDesign
-from twostage_servo.control.hypotheses import ACCEPTED
+from twostage_servo.control.model_monitor.hypotheses import ACCEPTED
 from twostage_servo.control.observer import DisturbanceObserver
 
 _SHARE: Final = 0.3

@@ -7,7 +7,7 @@ from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES, Motion
 from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.two_stage import Stage
+from twostage_servo.control.laws.paper import Stage
 
 Violation = tuple[TripCode, str]
 
@@ -217,7 +217,7 @@ class Supervision:
         frozen = motion.unchanged_effort >= limits.jam_effort
         self._ticks_frozen = self._ticks_frozen + 1 if frozen else 0
         if self._ticks_frozen >= self._jam_ticks or (
-            self._ticks_frozen >= _CERTAIN_JAM_SHARE * self._jam_ticks and motion.model_test.seems_to_stand
+            self._ticks_frozen >= _CERTAIN_JAM_SHARE * self._jam_ticks and motion.model_monitor.seems_to_stand
         ):
             yield (
                 TripCode.JAM,
@@ -230,7 +230,7 @@ class Supervision:
 
     def _model(self, *, seeks_a_stop: bool) -> Iterator[Violation]:
         """Watch whether encoder and plant do what they should; an axis that seeks a hard stop may be held up by it."""
-        test, unit = self._motion.model_test, self._settings.unit
+        test, unit = self._motion.model_monitor, self._settings.unit
         factor = test.better_factor
         if factor is None or (seeks_a_stop and 0.0 <= factor < 1.0):
             return

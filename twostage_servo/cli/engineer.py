@@ -207,8 +207,8 @@ def _design(options: argparse.Namespace) -> ExitCode:
 
 
 def _report(design: "AxisDesign", velocity: float) -> dict[str, Any]:
+    from twostage_servo.control.laws.paper import Stage
     from twostage_servo.control.margins import closed_loop_poles, loop_margins
-    from twostage_servo.control.two_stage import Stage
 
     stages = {}
     for stage in Stage:

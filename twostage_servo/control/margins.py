@@ -7,10 +7,10 @@ The loop is broken at the effort. With ``z = [x_o; I]`` the controller is ``z(k+
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from twostage_servo.control.laws.paper import Stage, braking_gain
 from twostage_servo.control.observer import KalmanGain, NoiseModel, extended_model
 from twostage_servo.control.optimal import ServoGains
 from twostage_servo.control.plant import DiscretePlant
-from twostage_servo.control.two_stage import Stage, braking_gain
 
 if TYPE_CHECKING:
     import numpy as np

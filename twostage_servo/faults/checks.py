@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
 from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.two_stage import SPEED_TOLERANCE
+from twostage_servo.control.laws.paper import SPEED_TOLERANCE
 from twostage_servo.faults.drive_faults import creep
 from twostage_servo.faults.world import Sample, World
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
 from twostage_servo.axis.detection import slowest_certain_velocity
 from twostage_servo.config.loader import Config
-from twostage_servo.control.mismatch import NOISE_SHARE
+from twostage_servo.control.model_monitor.monitor import NOISE_SHARE
 
 
 class Motion(NamedTuple):

@@ -9,7 +9,7 @@ from random import Random
 
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.config.loader import Config
-from twostage_servo.control.hypotheses import ACCEPTED, OTHER_GAINS
+from twostage_servo.control.model_monitor.hypotheses import ACCEPTED, OTHER_GAINS
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.faults import bus_faults, client_faults, drive_faults, host_faults, resource_faults

@@ -7,9 +7,9 @@ law, as printed, that shows by how much.
 from dataclasses import dataclass
 from typing import Final
 
-from twostage_servo.control.yardsticks.conventional import ConventionalTwoStage
-from twostage_servo.control.yardsticks.transcription import Reading, TranscribedLaw
-from twostage_servo.control.yardsticks.velocity import speed_sensor
+from twostage_servo.control.baselines.conventional import ConventionalTwoStage
+from twostage_servo.control.baselines.transcription import Reading, TranscribedLaw
+from twostage_servo.control.baselines.velocity import speed_sensor
 from twostage_servo.paper.examples import EXAMPLE_1
 from twostage_servo.paper.methods import Builder, transcribed
 

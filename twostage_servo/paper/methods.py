@@ -4,14 +4,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from twostage_servo.control.law import Law
+from twostage_servo.control.baselines.conventional import ConventionalTwoStage
+from twostage_servo.control.baselines.optimal_servo import OptimalServo
+from twostage_servo.control.baselines.pid import Pid
+from twostage_servo.control.baselines.transcription import Reading, TranscribedLaw
+from twostage_servo.control.baselines.velocity import Differentiator, speed_sensor
+from twostage_servo.control.laws.law import Law
+from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.observer import DisturbanceObserver
-from twostage_servo.control.two_stage import TwoStageLaw
-from twostage_servo.control.yardsticks.conventional import ConventionalTwoStage
-from twostage_servo.control.yardsticks.optimal_servo import OptimalServo
-from twostage_servo.control.yardsticks.pid import Pid
-from twostage_servo.control.yardsticks.transcription import Reading, TranscribedLaw
-from twostage_servo.control.yardsticks.velocity import Differentiator, speed_sensor
 from twostage_servo.paper.examples import NOISE, PERIOD_S, Example
 
 Sensor = Callable[[], float]

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from twostage_servo.control.baselines.transcription import Reading, UnsolvableError
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.margins import closed_loop_poles
-from twostage_servo.control.two_stage import Stage
-from twostage_servo.control.yardsticks.transcription import Reading, UnsolvableError
 from twostage_servo.paper.errata import ERRATA, Erratum
 from twostage_servo.paper.examples import EXAMPLE_2, EXAMPLES, MODEL, NOISE, PERIOD_S, VELOCITY, Example
 from twostage_servo.paper.experiment import Run, simulate

@@ -7,11 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.control.yardsticks.rig import MODEL, PERIOD_S, QUICK, SLOW, Axis
+from tests.control.baselines.rig import MODEL, PERIOD_S, QUICK, SLOW, Axis
+from twostage_servo.control.baselines.optimal_servo import OptimalServo
+from twostage_servo.control.baselines.velocity import speed_sensor
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import Plant
-from twostage_servo.control.yardsticks.optimal_servo import OptimalServo
-from twostage_servo.control.yardsticks.velocity import speed_sensor
 
 Matrix = NDArray[np.float64]
 plants = st.builds(Plant, gain=st.floats(20.0, 500.0), pole=st.floats(2.0, 40.0))

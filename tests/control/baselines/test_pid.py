@@ -9,10 +9,10 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.control.yardsticks.rig import MODEL, PERIOD_S, QUICK, SLOW, Axis
+from tests.control.baselines.rig import MODEL, PERIOD_S, QUICK, SLOW, Axis
+from twostage_servo.control.baselines.pid import Pid
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import Plant
-from twostage_servo.control.yardsticks.pid import Pid
 
 
 def closed_loop(plant: Plant, gains: ServoGains) -> Any:

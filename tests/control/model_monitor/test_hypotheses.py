@@ -2,7 +2,7 @@
 
 import pytest
 
-from twostage_servo.control.hypotheses import (
+from twostage_servo.control.model_monitor.hypotheses import (
     ACCEPTED,
     CHANGE_FACTORS,
     OTHER_GAINS,

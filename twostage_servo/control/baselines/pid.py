@@ -1,7 +1,7 @@
 """The PID controller of the introduction, whose overshoot grows with the set-point."""
 
+from twostage_servo.control.baselines.velocity import Differentiator
 from twostage_servo.control.optimal import ServoGains
-from twostage_servo.control.yardsticks.velocity import Differentiator
 
 
 class Pid:

@@ -103,7 +103,7 @@ class TwoStageLaw:
     changeovers
         Number of changes from the speed to the position stage so far.
     sample_age
-        1: :meth:`step` takes the sample of the period before (see :class:`~twostage_servo.control.law.Law`).
+        1: :meth:`step` takes the sample of the period before (see :class:`~twostage_servo.control.laws.law.Law`).
     """
 
     __slots__ = (

@@ -2,7 +2,7 @@
 
 This is the proposed law a second time, written for the reader who has the paper beside it: equations in their order and
 their matrices, no limit, no stop, moves from rest only. Read as corrected it gives the efforts of
-:class:`~twostage_servo.control.two_stage.TwoStageLaw` to rounding, which the tests hold; read as printed it shows what
+:class:`~twostage_servo.control.laws.paper.TwoStageLaw` to rounding, which the tests hold; read as printed it shows what
 each slip would do. What drives machines is the former alone.
 """
 
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.observer import KalmanGain, NoiseModel, extended_model, kalman_gain
 from twostage_servo.control.optimal import WEIGHTS, ServoGains, incremental_model, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Triple
-from twostage_servo.control.two_stage import Stage
 
 Matrix = NDArray[np.float64]
 

@@ -13,18 +13,18 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.control.yardsticks.rig import MODEL, PERIOD_S, Axis
-from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
-from twostage_servo.control.optimal import servo_gains
-from twostage_servo.control.plant import DiscretePlant, Plant
-from twostage_servo.control.two_stage import Stage, TwoStageLaw
-from twostage_servo.control.yardsticks.transcription import (
+from tests.control.baselines.rig import MODEL, PERIOD_S, Axis
+from twostage_servo.control.baselines.transcription import (
     Reading,
     TranscribedLaw,
     UnsolvableError,
     read_gains,
     read_kalman_gain,
 )
+from twostage_servo.control.laws.paper import Stage, TwoStageLaw
+from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
+from twostage_servo.control.optimal import servo_gains
+from twostage_servo.control.plant import DiscretePlant, Plant
 
 Matrix = NDArray[np.float64]
 MEASUREMENT = 0.01

@@ -1,7 +1,7 @@
 """The optimal servo of section II: one stage, state feedback and a summed error, equations (1)-(13)."""
 
+from twostage_servo.control.baselines.velocity import VelocitySource
 from twostage_servo.control.optimal import ServoGains
-from twostage_servo.control.yardsticks.velocity import VelocitySource
 
 
 class OptimalServo:

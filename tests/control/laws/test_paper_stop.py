@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from twostage_servo.control.laws.paper import BRAKING_SHARE, Stage, TwoStageLaw, braking_gain
 from twostage_servo.control.margins import closed_loop_poles, controller, loop_margins
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant
-from twostage_servo.control.two_stage import BRAKING_SHARE, Stage, TwoStageLaw, braking_gain
 
 PERIOD_S = 0.01
 MODEL = Plant(180.0, 14.0).discretise(PERIOD_S)

@@ -2,10 +2,10 @@
 
 import math
 
+from twostage_servo.control.baselines.velocity import VelocitySource
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.optimal import ServoGains
 from twostage_servo.control.plant import DiscretePlant
-from twostage_servo.control.two_stage import Stage
-from twostage_servo.control.yardsticks.velocity import VelocitySource
 
 
 class ConventionalTwoStage:

@@ -4,10 +4,16 @@ import itertools
 
 import pytest
 
-from tests.control.test_mismatch_thresholds import NOISE, PERIOD_S, PLANT, at_rest
-from twostage_servo.control.encoder_change import EncoderChange, Surprise
-from twostage_servo.control.hypotheses import ACCEPTED, CHANGE_FACTORS, OTHER_GAINS, deviating, slow_observer
-from twostage_servo.control.mismatch import ModelTest
+from tests.control.model_monitor.test_thresholds import NOISE, PERIOD_S, PLANT, at_rest
+from twostage_servo.control.model_monitor.encoder_change import EncoderChange, Surprise
+from twostage_servo.control.model_monitor.hypotheses import (
+    ACCEPTED,
+    CHANGE_FACTORS,
+    OTHER_GAINS,
+    deviating,
+    slow_observer,
+)
+from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 
 EFFORTS = [4.0, 9.0, 9.0, -3.0, 8.0, 1.0, 7.0, 6.0, -5.0, 9.0, 2.0, 3.0]
@@ -85,7 +91,7 @@ class ByHand:
         for change in self.changes:
             change.shift(distance)
 
-    def compare(self, test: ModelTest) -> None:
+    def compare(self, test: ModelMonitor) -> None:
         assert test.surprise == pytest.approx(self.total**0.5)
         assert test._accepted_sums == pytest.approx(self.accepted_sums)
         assert test._sums == pytest.approx(self.sums)
@@ -103,7 +109,7 @@ def test_every_hypothesis_gets_every_tick(
     gain_and_pole: tuple[float, float], missing: int | None, distance: float, lag_s: float
 ) -> None:
     """From a start in motion, under an effort of 6 V; one sample may be missing, and the origin changes after six."""
-    test, model = ModelTest(PLANT, PERIOD_S, NOISE, date_error_s=0.004), moving()
+    test, model = ModelMonitor(PLANT, PERIOD_S, NOISE, date_error_s=0.004), moving()
     test.start(model, 6.0)
     by_hand, origin = ByHand(model), 0.0
     ticks = zip(samples(*gain_and_pole), itertools.pairwise([6.0, *EFFORTS]), strict=True)
@@ -127,7 +133,7 @@ def test_every_hypothesis_gets_every_tick(
 
 def test_an_encoder_that_stands_still_is_told_by_its_own_steps_from_where_it_was() -> None:
     """Steps of 1 mm, 2 mm and, over a new origin, of 3 mm."""
-    test, model = ModelTest(PLANT, PERIOD_S, NOISE), moving()
+    test, model = ModelMonitor(PLANT, PERIOD_S, NOISE), moving()
     test.start(model)
     by_hand = 0.0
     for sample, step in ((11.0, 1.0), (13.0, 2.0)):
@@ -143,7 +149,7 @@ def test_an_encoder_that_stands_still_is_told_by_its_own_steps_from_where_it_was
 
 def test_the_noise_is_half_the_squared_difference_of_two_innovations_a_hundredth_each() -> None:
     """Innovations of 0.02, -0.04 and 0 mm differ by 0.02, 0.06 and 0.04 mm."""
-    test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
+    test, model = ModelMonitor(PLANT, PERIOD_S, NOISE), at_rest()
     by_hand = 0.0
     for innovation, difference in ((0.02, 0.02), (-0.04, 0.06), (0.0, 0.04)):
         model.innovation = innovation
@@ -153,7 +159,7 @@ def test_the_noise_is_half_the_squared_difference_of_two_innovations_a_hundredth
 
 
 def test_a_surprise_is_not_measured_as_noise_but_the_next_sample_is_compared_with_it() -> None:
-    test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
+    test, model = ModelMonitor(PLANT, PERIOD_S, NOISE), at_rest()
     model.innovation = 3.0
     test.update(3.0, 0.0, model, 0.0)
     assert (test.is_sure, test._noise_square) == (False, 0.0)
@@ -167,7 +173,7 @@ def test_a_part_of_a_change_shows_from_three_deviations_of_the_noise_and_from_tw
     noise: float, opens: float
 ) -> None:
     """0.4 of 0.125 mm is 0.05 mm."""
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test._noise_square = noise
     assert test._opening_square() == pytest.approx(opens)
 
@@ -184,7 +190,7 @@ def test_a_part_of_a_change_shows_from_three_deviations_of_the_noise_and_from_tw
 def test_another_plant_is_likelier_where_the_model_is_surprised_and_it_explains_the_samples_better_by_far(
     model_sum: float, other_sum: float, is_other: bool
 ) -> None:
-    test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
+    test, model = ModelMonitor(PLANT, PERIOD_S, NOISE), at_rest()
     test._accepted_sums = [2.0] * len(ACCEPTED)
     test._accepted_sums[0], test._accepted_sums[7] = model_sum, other_sum
     observer, index = test._likeliest(model, 0.1)
@@ -192,7 +198,7 @@ def test_another_plant_is_likelier_where_the_model_is_surprised_and_it_explains_
     assert observer is (test._accepted[7][0] if is_other else model)
 
 
-def with_changes(**evidence: tuple[float, ...]) -> ModelTest:
+def with_changes(**evidence: tuple[float, ...]) -> ModelMonitor:
     """Return a test at 100 mm/s whose changes have come to so much, from the model and from the likeliest plant.
 
     Parameters
@@ -200,7 +206,7 @@ def with_changes(**evidence: tuple[float, ...]) -> ModelTest:
     evidence
         Sums of the accepted plants since the change, by a name of its factor; it leaves nothing unexplained itself.
     """
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.start(at_rest(100.0))
     factors = {"turned": -1.0, "standing": 0.0, "half": 0.5, "twice": 2.0}
     for name, sums in evidence.items():
@@ -253,7 +259,7 @@ def test_it_seems_to_stand_by_the_evidence_for_a_change_however_slow_it_was(
     least: float, noise: float, own: float, expected: bool
 ) -> None:
     """From rest on nothing jumps, so nothing is told."""
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.start(at_rest())
     change = next(change for change in test._changes if change.factor == 0.0)
     change.ticks, change.accepted_sum, change.own_sum = 1, 1.0, own
@@ -268,7 +274,7 @@ def test_it_does_not_seem_to_stand_where_most_of_the_surprise_came_before() -> N
     assert not test.seems_to_stand
 
 
-def begin_apart(test: ModelTest) -> None:
+def begin_apart(test: ModelMonitor) -> None:
     """Let each change begin from a speed of its own: 100 mm/s, 200 mm/s, and so on."""
     for number, change in enumerate(test._changes, start=1):
         kept = change.ticks, change.accepted_sum
@@ -325,7 +331,7 @@ def test_with_another_gain_the_speed_that_is_reckoned_is_that_of_the_model_which
 def test_a_start_brings_the_effort_that_has_acted_to_the_plants_whose_effort_is_late() -> None:
     """In a steady cruise at 90 mm/s, that is 7 V: the model with a later effort is surprised no more than the model."""
     model = at_rest(90.0)
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.start(model, 7.0)
     for _ in range(5):
         test.update(model.position, 7.0, model, 0.0)
@@ -336,7 +342,7 @@ def test_a_start_brings_the_effort_that_has_acted_to_the_plants_whose_effort_is_
 
 
 def test_a_start_without_an_effort_is_one_at_which_none_has_acted() -> None:
-    test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
+    test, model = ModelMonitor(PLANT, PERIOD_S, NOISE), at_rest()
     test.start(model)
     for _ in range(5):
         test.update(0.0, 0.0, model, 0.0)
@@ -347,6 +353,6 @@ def test_a_start_without_an_effort_is_one_at_which_none_has_acted() -> None:
 def test_it_is_sure_while_an_accepted_plant_is_surprised_by_no_more_than_what_decides(
     sample: float, is_sure: bool
 ) -> None:
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.update(sample, 0.0, at_rest(), 0.0)
     assert test.is_sure is is_sure

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from twostage_servo.control.law import Law
+from twostage_servo.control.laws.law import Law
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import Plant
 
@@ -21,7 +21,7 @@ SLOW, QUICK = servo_gains(SAMPLED, 5e-5), servo_gains(SAMPLED, 5e-3)
 class Axis:
     """A plant of the tests' own, sampled by the matrix exponential; a load opposes the effort.
 
-    All yardsticks are driven with it.
+    All baselines are driven with it.
     """
 
     plant: Plant = MODEL

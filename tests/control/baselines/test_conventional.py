@@ -10,12 +10,12 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from tests.control.yardsticks.rig import MODEL, PERIOD_S, QUICK, SAMPLED, SLOW, Axis
+from tests.control.baselines.rig import MODEL, PERIOD_S, QUICK, SAMPLED, SLOW, Axis
+from twostage_servo.control.baselines.conventional import ConventionalTwoStage
+from twostage_servo.control.baselines.velocity import Differentiator, speed_sensor
+from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import Plant
-from twostage_servo.control.two_stage import Stage
-from twostage_servo.control.yardsticks.conventional import ConventionalTwoStage
-from twostage_servo.control.yardsticks.velocity import Differentiator, speed_sensor
 
 Matrix = NDArray[np.float64]
 plants = st.builds(Plant, gain=st.floats(50.0, 500.0), pole=st.floats(5.0, 40.0))

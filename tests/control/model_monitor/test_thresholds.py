@@ -2,8 +2,8 @@
 
 import pytest
 
-from twostage_servo.control.hypotheses import ACCEPTED, OTHER_GAINS
-from twostage_servo.control.mismatch import ModelTest
+from twostage_servo.control.model_monitor.hypotheses import ACCEPTED, OTHER_GAINS
+from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.plant import Plant
 
@@ -27,7 +27,7 @@ def unexplained(shares: dict[float, float], surprise: float = 1.0) -> list[float
 
 def verdict(surprise: float, shares: dict[float, float]) -> float | None:
     """Return what is told of a surprise, and of the share of it that another gain leaves unexplained."""
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.surprise, test._sum, test._still_sum = surprise, surprise**2, 1e9
     test._sums = unexplained(shares, surprise)
     return test.better_factor
@@ -71,7 +71,7 @@ def test_a_sign_has_to_be_eight_times_better_a_scale_five_and_half_a_scale_thirt
 
 
 def test_what_an_encoder_that_stands_still_explains_as_well_is_no_other_gain() -> None:
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.surprise, test._sum, test._sums = 1.0, 1.0, unexplained({0.45: 0.01})
     for still, told in ((0.0399, None), (0.0401, 0.45)):
         test._still_sum = still
@@ -80,24 +80,24 @@ def test_what_an_encoder_that_stands_still_explains_as_well_is_no_other_gain() -
 
 def test_dates_that_may_be_off_hide_a_quarter_of_what_they_may_at_the_speed_of_late() -> None:
     """3 ms at 100 mm/s are 0.3 mm; 0.075 mm of them are added to the 0.125 mm of the noise."""
-    test = ModelTest(PLANT, PERIOD_S, NOISE, date_error_s=0.003)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE, date_error_s=0.003)
     test.update(0.0, 0.0, at_rest(), 100.0)
     assert test._least == pytest.approx(0.2)
 
 
 def test_unless_told_otherwise_dates_are_right_at_any_speed() -> None:
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.update(0.0, 0.0, at_rest(), 100.0)
     assert test._least == pytest.approx(0.125)
 
 
 def test_the_noise_that_is_assumed_is_the_only_scale_at_rest() -> None:
-    quiet = ModelTest(PLANT, PERIOD_S, NoiseModel(measurement_variance=1e-6))
+    quiet = ModelMonitor(PLANT, PERIOD_S, NoiseModel(measurement_variance=1e-6))
     assert quiet._least == pytest.approx(1.25e-3)
 
 
 def test_it_begins_without_evidence_for_anything() -> None:
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     assert test.surprise == 0.0
     assert test.is_sure
     assert test.better_factor is None
@@ -107,7 +107,7 @@ def test_a_start_in_a_motion_that_still_surprises_the_model_is_no_evidence() -> 
     """A steady innovation e hides a wrong velocity: it counts as if it had been there for long, e²/(1 - 0.93)."""
     model = at_rest(100.0)
     model.innovation = 0.2
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.start(model)
     assert test.surprise == pytest.approx((0.2**2 / 0.07) ** 0.5)
     assert test.better_factor is None
@@ -123,7 +123,7 @@ def test_the_sums_are_those_of_the_best_accepted_plant_and_of_each_other_gain() 
 
     accepted = [(observer(gain, pole), delay) for gain, pole, delay in ACCEPTED]
     gains = [observer(factor * plant.gain, plant.pole) for factor, plant, _ in OTHER_GAINS]
-    test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
+    test, model = ModelMonitor(PLANT, PERIOD_S, NOISE), at_rest()
     total, sums, before = 0.0, [0.0] * len(gains), 0.0
     accepted_sums, still_sum, last = [0.0] * len(accepted), 0.0, 0.0
     for n in range(12):
@@ -145,7 +145,7 @@ def test_the_sums_are_those_of_the_best_accepted_plant_and_of_each_other_gain() 
     assert test._sums == pytest.approx(sums)
 
 
-def changed(test: ModelTest, factor: float) -> object:
+def changed(test: ModelMonitor, factor: float) -> object:
     return next(change for change in test._changes if change.factor == factor)
 
 
@@ -161,7 +161,7 @@ def changed(test: ModelTest, factor: float) -> object:
     ],
 )
 def test_what_makes_a_change_certain(ticks: int, accepted: float, own: float, background: float, certain: bool) -> None:
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.start(at_rest(100.0))
     change = changed(test, -1.0)
     change.ticks, change.accepted_sum, change.own_sum = ticks, accepted, own  # type: ignore[attr-defined]
@@ -171,7 +171,7 @@ def test_what_makes_a_change_certain(ticks: int, accepted: float, own: float, ba
 @pytest.mark.parametrize(("velocity", "certain"), [(3.3, False), (3.4, True)])
 def test_a_change_has_to_show_in_its_first_sample(velocity: float, certain: bool) -> None:
     """2 a12 v, where half of 0.125 mm is needed: a12 is 9.33 ms."""
-    test = ModelTest(PLANT, PERIOD_S, NOISE)
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.start(at_rest(velocity))
     change = changed(test, -1.0)
     change.ticks, change.accepted_sum = 3, 1.0  # type: ignore[attr-defined]
@@ -179,7 +179,7 @@ def test_a_change_has_to_show_in_its_first_sample(velocity: float, certain: bool
 
 
 def test_a_change_is_expected_anew_where_it_explains_no_more_than_an_accepted_plant() -> None:
-    test, model = ModelTest(PLANT, PERIOD_S, NOISE), at_rest()
+    test, model = ModelMonitor(PLANT, PERIOD_S, NOISE), at_rest()
     for _ in range(5):
         model.update(0.0, 0.0)
         test.update(0.0, 0.0, model, 0.0)
@@ -189,7 +189,7 @@ def test_a_change_is_expected_anew_where_it_explains_no_more_than_an_accepted_pl
 def test_the_hypotheses_forget_a_disturbance_as_the_noise_model_says() -> None:
     noise = NoiseModel(disturbance_memory=0.5)
     slow = NoiseModel((0.01, 0.01, 0.01), noise.measurement_variance, 0.5)
-    test, model = ModelTest(PLANT, PERIOD_S, noise), at_rest()
+    test, model = ModelMonitor(PLANT, PERIOD_S, noise), at_rest()
     doubled_plant = Plant(2.2 * 180.0, 14.0).discretise(PERIOD_S)
     other = DisturbanceObserver(doubled_plant, kalman_gain(doubled_plant, slow).predictor, 0.5)
     expected = 0.0

@@ -13,7 +13,14 @@ begins from the model's alone: where it stands from rest on, what explains it be
 
 from typing import Final, NamedTuple
 
-from twostage_servo.control.hypotheses import ACCEPTED, NOMINAL_S, Deviation, deviating, forgetting, slow_observer
+from twostage_servo.control.model_monitor.hypotheses import (
+    ACCEPTED,
+    NOMINAL_S,
+    Deviation,
+    deviating,
+    forgetting,
+    slow_observer,
+)
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.plant import DiscretePlant, Plant
 
@@ -73,7 +80,7 @@ class Surprise(NamedTuple):
     origin
         The estimate of the one that explains the samples best.
     likeliest
-        Its index in :data:`~twostage_servo.control.hypotheses.ACCEPTED`.
+        Its index in :data:`~twostage_servo.control.model_monitor.hypotheses.ACCEPTED`.
     """
 
     least_square: float

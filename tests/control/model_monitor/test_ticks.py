@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.control.test_mismatch import PERIOD_S, PLANT, Bench
-from twostage_servo.control.encoder_change import EncoderChange
-from twostage_servo.control.hypotheses import ACCEPTED, Deviation, LateEffort, forgetting
+from tests.control.model_monitor.test_monitor import PERIOD_S, PLANT, Bench
+from twostage_servo.control.model_monitor.encoder_change import EncoderChange
+from twostage_servo.control.model_monitor.hypotheses import ACCEPTED, Deviation, LateEffort, forgetting
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel
 
 TICKS_S = (0.001, 0.002, 0.005, 0.02)

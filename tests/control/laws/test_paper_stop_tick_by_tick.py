@@ -4,10 +4,10 @@ import math
 
 import pytest
 
+from twostage_servo.control.laws.paper import Stage, TwoStageLaw
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
 from twostage_servo.control.plant import DiscretePlant
-from twostage_servo.control.two_stage import Stage, TwoStageLaw
 
 MASS = DiscretePlant(period_s=0.01, a12=0.01, a22=1.0, b1=0.0, b2=1.0)
 GAINS = ServoGains(f11=0.4, f12=0.02, f22=0.008)

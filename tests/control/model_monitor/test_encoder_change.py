@@ -6,8 +6,8 @@ An axis of gain 180 and pole 14 in 1/s is at 10 mm, runs at 50 mm/s, unless anot
 
 import pytest
 
-from twostage_servo.control.encoder_change import EncoderChange, Surprise
-from twostage_servo.control.hypotheses import ACCEPTED, Deviation, deviating, slow_observer
+from twostage_servo.control.model_monitor.encoder_change import EncoderChange, Surprise
+from twostage_servo.control.model_monitor.hypotheses import ACCEPTED, Deviation, deviating, slow_observer
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.plant import Plant
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from twostage_servo.control.mismatch import ModelTest
+from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.plant import Plant
 
@@ -20,7 +20,7 @@ class Bench:
         self.plant = Plant(factor * PLANT.gain, pole * PLANT.pole).discretise(period_s)
         model = PLANT.discretise(period_s)
         self.observer = DisturbanceObserver(model, kalman_gain(model, NoiseModel()).predictor)
-        self.test = ModelTest(PLANT, period_s, NoiseModel())
+        self.test = ModelMonitor(PLANT, period_s, NoiseModel())
         self.test.start(self.observer)
         self.position = self.velocity = 0.0
         self.counts, self.changed_at = 1.0, 0.0

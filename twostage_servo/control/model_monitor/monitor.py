@@ -12,17 +12,17 @@ from the start, or a drive whose gain has changed. Squared innovations are summe
 multiple-model estimation (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
 Navigation*, 2001, section 11.6), with a threshold on the ratio in place of its probabilities.
 
-*A change of the encoder*: :mod:`twostage_servo.control.encoder_change`.
+*A change of the encoder*: :mod:`twostage_servo.control.model_monitor.encoder_change`.
 
 Whichever it is, what the encoder has shown since says nothing of the speed. The model does, run freely from the change
-on; :meth:`ModelTest.reckon` gives its state.
+on; :meth:`ModelMonitor.reckon` gives its state.
 """
 
 from math import inf
 from typing import Final
 
-from twostage_servo.control.encoder_change import EncoderChange, Reckoning, Surprise
-from twostage_servo.control.hypotheses import (
+from twostage_servo.control.model_monitor.encoder_change import EncoderChange, Reckoning, Surprise
+from twostage_servo.control.model_monitor.hypotheses import (
     ACCEPTED,
     CHANGE_FACTORS,
     OTHER_GAINS,
@@ -58,7 +58,7 @@ OPENING_SHARE: Final = 0.4
 """Share of the surprise below which nothing is decided, from which it is: what is less may be the model's error."""
 
 
-class ModelTest:
+class ModelMonitor:
     """Compares the model with the hypotheses; give it each tick once.
 
     Parameters

@@ -1,18 +1,18 @@
-"""What every yardstick is before its first step, what it does without a set-point, and in its second move."""
+"""What every baseline is before its first step, what it does without a set-point, and in its second move."""
 
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from tests.control.yardsticks.rig import MODEL, PERIOD_S, SAMPLED, SLOW, Axis
-from twostage_servo.control.law import Law
-from twostage_servo.control.two_stage import Stage
-from twostage_servo.control.yardsticks.conventional import ConventionalTwoStage
-from twostage_servo.control.yardsticks.optimal_servo import OptimalServo
-from twostage_servo.control.yardsticks.pid import Pid
-from twostage_servo.control.yardsticks.transcription import TranscribedLaw
-from twostage_servo.control.yardsticks.velocity import Differentiator
+from tests.control.baselines.rig import MODEL, PERIOD_S, SAMPLED, SLOW, Axis
+from twostage_servo.control.baselines.conventional import ConventionalTwoStage
+from twostage_servo.control.baselines.optimal_servo import OptimalServo
+from twostage_servo.control.baselines.pid import Pid
+from twostage_servo.control.baselines.transcription import TranscribedLaw
+from twostage_servo.control.baselines.velocity import Differentiator
+from twostage_servo.control.laws.law import Law
+from twostage_servo.control.laws.paper import Stage
 
 LAWS: dict[str, Callable[[], Law]] = {
     "conventional": lambda: ConventionalTwoStage(SAMPLED, SLOW, Differentiator(PERIOD_S)),

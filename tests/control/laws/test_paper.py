@@ -9,10 +9,10 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from twostage_servo.control.laws.paper import Stage, TwoStageLaw, ending_share
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, extended_model, kalman_gain
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant
-from twostage_servo.control.two_stage import Stage, TwoStageLaw, ending_share
 
 PERIOD_S = 0.01
 MODEL = Plant(180.0, 14.0)

@@ -1,0 +1,1 @@
+"""Laws: what makes an effort of a set-point and position samples."""
