@@ -19,7 +19,8 @@ from run import EPISODE_TICKS, keep, kept_results, seeds_for, summarise
 from service_soak import ServiceSoak
 
 from twostage_servo.axis.detection import slowest_certain_velocity
-from twostage_servo.axis.messages import Command, Refused
+from twostage_servo.axis.messages import Command
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.config.loader import load

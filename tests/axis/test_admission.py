@@ -10,7 +10,8 @@ from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback, Refused
+from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import Event, State, next_state
 from twostage_servo.axis.trips import Reaction, Trip, TripCode
 
@@ -142,7 +143,7 @@ def test_motion_towards_an_active_limit_switch_is_refused_and_away_from_it_is_no
 
 
 def test_a_refusal_says_its_text() -> None:
-    refused = Refused("busy", "the axis moves.")
+    refused = Refused(RefusalCode.BUSY, "the axis moves.")
     assert (refused.code, str(refused)) == ("busy", "the axis moves.")
 
 

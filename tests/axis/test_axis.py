@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import DesignError, design_axis
-from twostage_servo.axis.messages import NO_EFFORT, Feedback, Refused
+from twostage_servo.axis.messages import NO_EFFORT, Feedback
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import ENABLED, State
 from twostage_servo.axis.trips import RULES, Reaction, TripCode

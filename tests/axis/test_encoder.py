@@ -16,7 +16,8 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.feedback import FeedbackMonitor
-from twostage_servo.axis.messages import Feedback, Refused
+from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode

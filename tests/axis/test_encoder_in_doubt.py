@@ -18,7 +18,7 @@ from twostage_servo.axis.detection import (
     detections,
     slowest_certain_velocity,
 )
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import RULES, TripCode

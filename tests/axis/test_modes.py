@@ -13,7 +13,8 @@ from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import Feedback, Refused
+from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.plant import Plant

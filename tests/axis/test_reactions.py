@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import NO_EFFORT, Refused
+from twostage_servo.axis.messages import NO_EFFORT
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.axis.trips import RULES, Reaction, TripCode
 from twostage_servo.control.plant import Plant

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import Refused
 from twostage_servo.axis.reference import NEVER_HOMED, ReferenceSource
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.axis.trips import RULES, TripCode
 

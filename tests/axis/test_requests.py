@@ -9,7 +9,7 @@ from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from tests.axis.test_modes import refused, rig_with, until
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import Move
+from twostage_servo.axis.moves import Move
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.paper import Stage

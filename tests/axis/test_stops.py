@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.axis.trips import TripCode
 

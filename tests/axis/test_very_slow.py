@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tests.axis.rig import DEMO, PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.exact import exact
 

@@ -16,7 +16,7 @@ import pytest
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.machine import Machine
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import main
@@ -307,7 +307,7 @@ def test_a_switch_that_nobody_gets_off_is_seen(monkeypatch: pytest.MonkeyPatch) 
 
     def move_if_reset(axis: Axis, target: float, velocity: float) -> object:
         if axis.drive.positive_limit or axis.drive.negative_limit:
-            raise Refused("limit_switch", "no way is free")
+            raise Refused(RefusalCode.LIMIT_SWITCH, "no way is free")
         return move_to(axis, target, velocity)
 
     monkeypatch.setattr(Axis, "move_to", move_if_reset)

@@ -7,7 +7,7 @@ import pytest
 
 from tests.service.rig import BUS, World, simulate
 from tests.service.text_connection import socketcand_at
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import BusSettings, Link

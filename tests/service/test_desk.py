@@ -7,7 +7,7 @@ import pytest
 import structlog
 
 from twostage_servo.api.requests import REQUESTS
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import COMMANDED, State
 from twostage_servo.service.desk import Desk
 from twostage_servo.timing.virtual_clock import run as run_alone
@@ -34,7 +34,7 @@ class WrittenDown:
     def __getattr__(self, name: str) -> Any:
         def tell(*arguments: Any, **named: Any) -> None:
             if name in self.refuses:
-                raise Refused("no", f"{self.name} refuses {name}")
+                raise Refused(RefusalCode.BUSY, f"{self.name} refuses {name}")
             self.told.append((name, *arguments, *named.items()))
 
         return tell
@@ -147,7 +147,7 @@ def test_where_some_axes_can_stop_only_these_are_told_to() -> None:
     assert service.told() == {"y": [("stop", ("quick", False))]}
     service.axes["y"].can_stop = False
     service.axes["x"].refuses = {"stop"}
-    assert service.refusal(op="stop") == ("no", "axis x: x refuses stop")
+    assert service.refusal(op="stop") == ("busy", "axis x: x refuses stop")
 
 
 def test_where_some_axes_have_tripped_only_these_are_reset() -> None:
@@ -162,7 +162,7 @@ def test_where_some_axes_have_tripped_only_these_are_reset() -> None:
 def test_what_one_axis_refuses_none_does(op: str, check: str) -> None:
     service = Service()
     service.axes["y"].refuses = {check}
-    assert service.refusal(op=op) == ("no", f"axis y: y refuses {check}")
+    assert service.refusal(op=op) == ("busy", f"axis y: y refuses {check}")
     assert service.told() == {"x": [(check,)]}
     assert service.discarded == []
 
@@ -198,7 +198,7 @@ def test_a_short_way_beside_a_very_long_one_is_no_slower_than_an_axis_can_go() -
 def test_of_a_move_of_several_axes_that_one_refuses_none_is_begun() -> None:
     service = Service()
     service.axes["y"].refuses = {"check_move"}
-    assert service.refusal(op="move", positions={"x": 1.0, "y": 1.0})[0] == "no"
+    assert service.refusal(op="move", positions={"x": 1.0, "y": 1.0})[0] == "busy"
     assert service.told() == {"x": [("check_move", 1.0, 100.0)]}
     assert service.refusal(op="move", positions={"x": 1.0, "z": 1.0})[0] == "which_axis"
 

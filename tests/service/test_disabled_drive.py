@@ -12,7 +12,7 @@ import structlog
 from tests.service.rig import World, simulate
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
 from twostage_servo.api.requests import REQUESTS
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.status_line import status_line

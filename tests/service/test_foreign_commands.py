@@ -9,7 +9,7 @@ import structlog
 
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import REQUESTS
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.status_line import status_line

@@ -10,7 +10,7 @@ import pytest
 
 from tests.service.operators import Operator, connect, serve
 from tests.service.rig import World
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.lease import Lease
@@ -154,7 +154,7 @@ def test_a_refused_command_takes_no_lease_and_loses_none(path: Path) -> None:
 def test_a_reload_that_cannot_be_prepared_takes_no_lease(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         async def fail() -> Callable[[], None]:
-            raise Refused("config", "line 3 is wrong")
+            raise Refused(RefusalCode.CONFIG, "line 3 is wrong")
 
         world.service.desk.prepare = fail
         operator = await connect(path)

@@ -11,7 +11,7 @@ from tests.service.rig import World, simulate
 from tests.service.test_log_lines import of
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
 from twostage_servo.api.requests import MoveRequest, RecordingRequest
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.control_socket import ControlSocket

@@ -7,7 +7,7 @@ import pytest
 
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.config.loader import ConfigError, load

@@ -16,7 +16,7 @@ from tests.service.rig import World, simulate
 from tests.service.test_reload import DEMO, change
 from twostage_servo.api.requests import ReloadRequest
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine

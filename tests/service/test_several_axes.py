@@ -13,7 +13,8 @@ import structlog
 
 from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.messages import Command, Refused
+from twostage_servo.axis.messages import Command
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link

@@ -22,7 +22,7 @@ from typing import Final
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from twostage_servo.api.requests import REQUESTS
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.cli.main import main as run_verb
 from twostage_servo.config.machine import load_machine

@@ -11,7 +11,7 @@ from typing import Final
 from bench.children import ROOT
 from bench.plan import PATIENT
 from twostage_servo.api.requests import ArmRequest, MoveRequest, Request
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import Link
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.config.machine import Machine

@@ -17,7 +17,7 @@ import structlog
 
 from fuzz.drives import Drive
 from twostage_servo.api.requests import REQUESTS
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.control.plant import Plant

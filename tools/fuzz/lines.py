@@ -17,6 +17,7 @@ from fuzz.outcome import Outcome
 from fuzz.reproducible import reproducible
 from fuzz.request_maker import RequestMaker, numeric_fields, request_schemas
 from twostage_servo.api.request_reading import LONGEST_LINE, BadRequestError, parse_request
+from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State
 from twostage_servo.service import answers
 from twostage_servo.service.control_socket import ControlSocket
@@ -260,7 +261,7 @@ class Desk:
         try:
             request = parse_request(line.data)
         except BadRequestError as error:
-            answer = answers.failure("bad_request", str(error))
+            answer = answers.failure(RefusalCode.BAD_REQUEST, str(error))
         else:
             answer = b"".join(self._handler.answer(request, _Asker()).pieces)
         return self.look(check_answer(answer, line), line)

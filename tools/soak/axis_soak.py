@@ -9,6 +9,7 @@ from encoder_watch import ENCODER_FACTORS, EncoderWatch
 from invariants import BrokenInvariantError, Invariants
 from operator_model import OperatorModel
 
+from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.assembly import build_axis, compile_profile
@@ -115,7 +116,7 @@ class AxisSoak:
             self._reported_trip = axis.trip
             self.trips += axis.trip is not None
         is_homing = axis.state is State.HOMING
-        if self._was_homing and not is_homing and axis.move is not None and axis.move.outcome == "reached":
+        if self._was_homing and not is_homing and axis.move is not None and axis.move.outcome is MoveOutcome.REACHED:
             self.watch.placed()
         self._was_homing = is_homing
 

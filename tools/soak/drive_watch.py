@@ -4,7 +4,7 @@ from typing import Protocol
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import MODEL_ERROR
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import ENABLED
 from twostage_servo.axis.trips import TripCode
 

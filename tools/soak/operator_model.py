@@ -8,7 +8,8 @@ from drive_model import DriveModel
 from encoder_watch import EncoderWatch
 
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.moves import MoveOutcome
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 
 _MENDED_AT_ONCE = 0.6
@@ -98,7 +99,7 @@ class OperatorModel:
 
     def _move(self) -> None:
         move = self._axis.move
-        self.moves_reached += move is not None and move.outcome == "reached"
+        self.moves_reached += move is not None and move.outcome is MoveOutcome.REACHED
         limits = self._axis.settings.limits
         self._move_to(self._random.uniform(limits.position_minimum, limits.position_maximum))
 

@@ -19,7 +19,8 @@ from pydantic import ValidationError
 from service_mishaps import ServiceMishaps
 
 from twostage_servo.api.requests import REQUESTS
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.moves import MoveOutcome
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.faults.world import World, operate
 from twostage_servo.service.control_socket import ControlSocket
@@ -125,7 +126,12 @@ class ServiceSoak:
             raise BrokenInvariantError(wrong)
         mishaps.look()
         is_homing = world.axis.state is State.HOMING
-        if self._was_homing and not is_homing and world.axis.move is not None and world.axis.move.outcome == "reached":
+        if (
+            self._was_homing
+            and not is_homing
+            and world.axis.move is not None
+            and world.axis.move.outcome is MoveOutcome.REACHED
+        ):
             self.watch.placed()
         self._was_homing = is_homing
         if world.axis.trip is not self._reported_trip:
@@ -183,7 +189,7 @@ class ServiceSoak:
         target = random.uniform(limits.position_minimum, limits.position_maximum)
         near = 0.08 * limits.velocity
         move = axis.move
-        self.moves_reached += move is not None and move.outcome == "reached"
+        self.moves_reached += move is not None and move.outcome is MoveOutcome.REACHED
         return dict(random.choice((
             {"op": "stop", "quick": random.random() < 0.5},
             {"op": "disarm"},

@@ -4,13 +4,10 @@ import math
 
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Obstacle, RefusalCode, Refused
 from twostage_servo.axis.state import Event, State, next_state
 from twostage_servo.axis.trips import Trip
 from twostage_servo.exact import exact
-
-Obstacle = tuple[str, str]
-"""Code and text of a refusal."""
 
 _STANDSTILL_S = 3600.0
 """An axis that does not go a step of its encoder in this time stands still, whatever speed it was asked for."""
@@ -57,7 +54,7 @@ class Admission:
         position, limits, unit = self._drive.position, self._limits, self._unit
         if referenced and position is not None and not self.is_inside(position, limits.position_overrun):
             return (
-                "position_limit",
+                RefusalCode.POSITION_LIMIT,
                 (
                     f"the axis stands at {position:.6g} {unit}, more than {limits.position_overrun:g} {unit} outside "
                     f"its limits {limits.position_minimum:g} to {limits.position_maximum:g}: move "
@@ -71,26 +68,27 @@ class Admission:
         if next_state(state, event) is not None:
             return
         if trip is not None:
-            raise Refused("tripped", f"{say_tripped(trip)} {trip.next_action}")
+            raise Refused(RefusalCode.TRIPPED, f"{say_tripped(trip)} {trip.next_action}")
         if state is State.DISARMED and event in {Event.STOP, Event.QUICK_STOP}:
             raise Refused(
-                "disarmed", "the axis is disarmed: its drive is told to be disabled, there is nothing to stop."
+                RefusalCode.DISARMED,
+                "the axis is disarmed: its drive is told to be disabled, there is nothing to stop.",
             )
         if state is State.DISARMED:
-            raise Refused("disarmed", "the axis is disarmed: `arm` it first.")
-        raise Refused("busy", f"the axis is {state}: wait until it holds.")
+            raise Refused(RefusalCode.DISARMED, "the axis is disarmed: `arm` it first.")
+        raise Refused(RefusalCode.BUSY, f"the axis is {state}: wait until it holds.")
 
     def check_velocity(self, velocity: float, largest: float) -> None:
         """Refuse a speed that is no positive number, too large, or so small that it is none; both in axis unit/s."""
         if not (math.isfinite(velocity) and 0.0 < velocity <= largest):
             raise Refused(
-                "velocity_limit",
+                RefusalCode.VELOCITY_LIMIT,
                 f"velocity {exact(velocity)} {self._unit}/s: it must be greater than 0 and at most {largest:g} "
                 f"{self._unit}/s.",
             )
         if velocity < self.slowest:
             raise Refused(
-                "velocity_limit",
+                RefusalCode.VELOCITY_LIMIT,
                 f"velocity {exact(velocity)} {self._unit}/s: at less than {self.slowest:.3g} {self._unit}/s the axis "
                 "would not go a step of its encoder in an hour.",
             )
@@ -102,18 +100,22 @@ class Admission:
         """
         if not (math.isfinite(target) and self.is_inside(target)):
             raise Refused(
-                "position_limit",
+                RefusalCode.POSITION_LIMIT,
                 f"set-point {exact(target)} {self._unit}: it must lie from {self._limits.position_minimum:g} to "
                 f"{self._limits.position_maximum:g} {self._unit}.",
             )
         if not referenced:
             why = f" ({lost_because})" if lost_because else ""
-            raise Refused("not_homed", f"the axis does not know its position{why}: `home` it first, or `jog`.")
+            raise Refused(
+                RefusalCode.NOT_HOMED, f"the axis does not know its position{why}: `home` it first, or `jog`."
+            )
 
     def check_switches(self, direction: float) -> None:
         """Refuse motion (its sign counts) towards a limit switch that is active."""
         if switch := self._drive.blocks(direction):
-            raise Refused("limit_switch", f"the {switch} limit switch is active: only motion away from it is possible.")
+            raise Refused(
+                RefusalCode.LIMIT_SWITCH, f"the {switch} limit switch is active: only motion away from it is possible."
+            )
 
     def check_place(self, position: float, velocity: float | None, rest_velocity: float) -> None:
         """Refuse to call the place where the axis stands `position` (axis unit) unless it is seen, and at rest.
@@ -125,19 +127,19 @@ class Admission:
         overrun = self._overrun_to_stand_in
         if not (math.isfinite(position) and self.is_inside(position, overrun)):
             raise Refused(
-                "position_limit",
+                RefusalCode.POSITION_LIMIT,
                 f"the axis cannot stand at {exact(position)} {unit}: with limits of {limits.position_minimum:g} to "
                 f"{limits.position_maximum:g} {unit} and an overrun of {limits.position_overrun:g} {unit} its place "
                 f"must lie from {limits.position_minimum - overrun:.6g} to "
                 f"{limits.position_maximum + overrun:.6g} {unit}.",
             )
         if self._drive.position is None or self._drive.is_stale:
-            raise Refused("no_feedback", "there is no fresh feedback from the drive.")
+            raise Refused(RefusalCode.NO_FEEDBACK, "there is no fresh feedback from the drive.")
         if velocity is None:
-            raise Refused("busy", "it is not known yet whether the axis is at rest: ask again.")
+            raise Refused(RefusalCode.BUSY, "it is not known yet whether the axis is at rest: ask again.")
         if abs(velocity) > rest_velocity:
             raise Refused(
-                "busy", f"the axis moves at {velocity:.4g} {self._unit}/s: its place can be set only at rest."
+                RefusalCode.BUSY, f"the axis moves at {velocity:.4g} {self._unit}/s: its place can be set only at rest."
             )
 
 

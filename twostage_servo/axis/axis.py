@@ -3,14 +3,14 @@
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Literal
 
 from twostage_servo.axis.admission import say_tripped
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.duration import move_duration
 from twostage_servo.axis.homing import Homing
 from twostage_servo.axis.machine import Machine
-from twostage_servo.axis.messages import Move, Refused
+from twostage_servo.axis.moves import Move, MoveKind, MoveOutcome
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import BRAKING, LATCHED, Event, State, next_state
 
 _FAR_S = 3600.0
@@ -71,9 +71,9 @@ class Axis(Machine):
             outside its position limits.
         """
         if (trip := self.present_trip) is not None:
-            raise Refused("tripped", f"{say_tripped(trip)} `reset` first.")
+            raise Refused(RefusalCode.TRIPPED, f"{say_tripped(trip)} `reset` first.")
         if self.state is not State.DISARMED:
-            raise Refused("already_armed", f"the axis is armed already ({self.state}).")
+            raise Refused(RefusalCode.ALREADY_ARMED, f"the axis is armed already ({self.state}).")
         if obstacle := self.obstacle_to_arming():
             raise Refused(*obstacle)
 
@@ -92,7 +92,7 @@ class Axis(Machine):
         if self.state is State.DISARMING and before is not State.DISARMING:  # asked again, it goes on as it was
             limits = self.settings.limits
             quick = before is State.QUICK_STOPPING  # which is not made milder
-            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
+            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, MoveOutcome.STOPPED, reason)
 
     def move_to(self, target: float, velocity: float) -> Move:
         """Take a set-point in axis unit and its cruise velocity in axis unit/s; the effort stays continuous.
@@ -103,11 +103,11 @@ class Axis(Machine):
             As in :meth:`check_move`.
         """
         self.check_move(target, velocity)
-        self._end_move("replaced")
+        self._end_move(MoveOutcome.REPLACED)
         first = self._first_target(target)
         self._final_target = target if first != target else None
         self._begin_leg(first, velocity)
-        return self._new_move("move", target, velocity)
+        return self._new_move(MoveKind.MOVE, target, velocity)
 
     def check_move(self, target: float, velocity: float) -> None:
         """Tell whether a set-point could be taken.
@@ -145,7 +145,7 @@ class Axis(Machine):
         if self._jog_barred_ticks:
             self._jog_barred_ticks = self._jog_ticks
             raise Refused(
-                "stopped",
+                RefusalCode.STOPPED,
                 "this axis was stopped, and not by whoever jogs it: let go of the jog for "
                 f"{self.settings.jog_timeout_ms:g} ms, look at the axis, and ask again.",
             )
@@ -160,11 +160,13 @@ class Axis(Machine):
         if self.referenced:
             target = limits.position_maximum if velocity > 0.0 else limits.position_minimum
             if math.copysign(1.0, velocity) * (target - position) <= self.settings.window.position:
-                raise Refused("position_limit", f"the axis stands at its limit of {target:g} {self.settings.unit}.")
-        self._end_move("replaced")
+                raise Refused(
+                    RefusalCode.POSITION_LIMIT, f"the axis stands at its limit of {target:g} {self.settings.unit}."
+                )
+        self._end_move(MoveOutcome.REPLACED)
         self._set_target(target, abs(velocity))
         self._apply(Event.JOG)
-        self._new_move("jog", target, velocity)
+        self._new_move(MoveKind.JOG, target, velocity)
 
     def home(self) -> None:
         """Look for the reference as the settings say; `set_here` takes the place where the axis is.
@@ -182,7 +184,7 @@ class Axis(Machine):
         self._homing = Homing(self.design, self.motion, self.drive)
         self.supervision.begin_move()
         self._apply(Event.HOME)
-        self._new_move("home", self.settings.homing.position, self.settings.homing.velocity)
+        self._new_move(MoveKind.HOME, self.settings.homing.position, self.settings.homing.velocity)
 
     def set_position(self, position: float) -> None:
         """Say where the axis stands now, in axis unit; from then on it knows its position.
@@ -219,7 +221,7 @@ class Axis(Machine):
         # Only once: each braking that begins is given its time anew.
         harder = quick and before is State.DISARMING and self._deceleration < limits.quick_stop_deceleration
         if harder or (self.state in BRAKING and self.state is not before):
-            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "stopped", reason)
+            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, MoveOutcome.STOPPED, reason)
 
     def bar_jog(self) -> None:
         """Take no jog before it was let go for its time-out: a stop must outlast the requests that keep a jog going.
@@ -261,13 +263,13 @@ class Axis(Machine):
             last: one that is not disabled, that contradicts itself, or that another node commands while it is enabled.
         """
         if self.state in LATCHED and self.state is not State.TRIPPED:
-            raise Refused("busy", "the axis is still braking after its trip: `reset` when it is at rest.")
+            raise Refused(RefusalCode.BUSY, "the axis is still braking after its trip: `reset` when it is at rest.")
         if next_state(self.state, Event.RESET) is None:
-            raise Refused("not_tripped", f"the axis is {self.state}: there is nothing to reset.")
+            raise Refused(RefusalCode.NOT_TRIPPED, f"the axis is {self.state}: there is nothing to reset.")
         if (lasting := next(iter(self.hazards), None)) is not None:
-            raise Refused(lasting.code.value, f"{lasting.cause.rstrip('.')}. {lasting.next_action}")
+            raise Refused(RefusalCode(lasting.code), f"{lasting.cause.rstrip('.')}. {lasting.next_action}")
 
-    def _new_move(self, kind: Literal["move", "jog", "home"], target: float, velocity: float) -> Move:
+    def _new_move(self, kind: MoveKind, target: float, velocity: float) -> Move:
         self._moves += 1
         self.move = Move(self._moves, kind, target, velocity, start=self.law.observer.position)
         return self.move

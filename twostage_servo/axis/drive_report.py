@@ -8,6 +8,7 @@ from twostage_servo.axis.drive_states import DriveState, DriveStateComparison
 from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
 from twostage_servo.axis.foreign_commands import ForeignCommands
 from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.refusals import Obstacle, RefusalCode
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.trips import TripCode
 
@@ -298,11 +299,11 @@ class DriveReport:
                 ),
             )
 
-    def obstacle_to_arming(self) -> tuple[str, str] | None:
+    def obstacle_to_arming(self) -> Obstacle | None:
         """Return code and text of what on the drive's side keeps the axis from being armed, or None."""
         if self.position is None or self.is_stale:
             return (
-                "no_feedback",
+                RefusalCode.NO_FEEDBACK,
                 (
                     "there is no fresh feedback from the drive: check its supply, its bus and its identifiers"
                     f"{self._why_late()}."
@@ -310,16 +311,16 @@ class DriveReport:
             )
         if self.foreign.lasts:
             text = f"another node on the bus commands this drive: {self.foreign}. End the other service or tool first."
-            return "foreign_command", text
+            return RefusalCode.FOREIGN_COMMAND, text
         if self.enabled is True:
-            return "still_enabled", "the drive has not been disabled yet: ask again."
+            return RefusalCode.STILL_ENABLED, "the drive has not been disabled yet: ask again."
         if self._has_heartbeat and not self._heartbeat_heard:
             return (
-                TripCode.HEARTBEAT_LOST.value,
+                RefusalCode.HEARTBEAT_LOST,
                 "no heartbeat has come from the drive yet: ask again, or set protocol.heartbeat.message to false.",
             )
         trouble = next(self.troubles(arming=True), None)
-        return None if trouble is None else (trouble[0].value, f"{trouble[1]}: remove its cause first.")
+        return None if trouble is None else (RefusalCode(trouble[0]), f"{trouble[1]}: remove its cause first.")
 
     def _say_fault(self) -> str:
         code = self.fault_code

@@ -9,9 +9,11 @@ from twostage_servo.axis.disabled_drive import DisabledDriveWatch
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.drive_states import DriveState
 from twostage_servo.axis.homing import Homing, HomingFailed
-from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback, Move
+from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback
 from twostage_servo.axis.motion import Motion
+from twostage_servo.axis.moves import Move, MoveOutcome
 from twostage_servo.axis.reference import Reference
+from twostage_servo.axis.refusals import Obstacle, RefusalCode
 from twostage_servo.axis.state import BRAKING, CIA402, COMMANDED, DRIVEN, ENABLED, LATCHED, Event, State, next_state
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import EVENTS, RULES, Trip, TripCode
@@ -276,7 +278,7 @@ class Machine:
         if self.state is State.JOGGING and self._jog_ticks_left <= 0:
             self._apply(Event.STOP)
             reason = f"the jog was not renewed within {self.settings.jog_timeout_ms:g} ms"
-            self._brake(self.settings.limits.acceleration, "stopped", reason)
+            self._brake(self.settings.limits.acceleration, MoveOutcome.STOPPED, reason)
         return self._drive()
 
     def raise_trip(self, code: TripCode, cause: str) -> None:
@@ -301,16 +303,16 @@ class Machine:
             self.trip = trip
         elif after is self.state and not rule.while_disabled:
             if doubted:  # braking goes on, but from another speed
-                self._brake(self._deceleration, "tripped")
+                self._brake(self._deceleration, MoveOutcome.TRIPPED)
             return
         else:
             self.escalation = trip
         before, self.state = self.state, after
-        self._end_move("tripped", trip.cause)
+        self._end_move(MoveOutcome.TRIPPED, trip.cause)
         if self.state in BRAKING and self.state is not before:
             quick = self.state is State.TRIPPED_QUICK_STOP
             limits = self.settings.limits
-            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, "tripped")
+            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, MoveOutcome.TRIPPED)
 
     def end_braking(self) -> None:
         """Give up a braking that takes too long, and disable the drive as at its end."""
@@ -350,13 +352,13 @@ class Machine:
         """The trip that the operator has to deal with first: one that lasts, else the first one; None without any."""
         return next(iter(self.hazards), self.trip)
 
-    def obstacle_to_arming(self) -> tuple[str, str] | None:
+    def obstacle_to_arming(self) -> Obstacle | None:
         """Return code and text of what keeps a disarmed axis from being armed, or None."""
         if self._disabled_ticks < _DISABLED_TICKS:
-            return "still_enabled", "the drive is only just being disabled: ask again."
+            return RefusalCode.STILL_ENABLED, "the drive is only just being disabled: ask again."
         if self.count.awaits_proof and not self.drive.is_stale:
             return (
-                "heartbeat_lost",
+                RefusalCode.HEARTBEAT_LOST,
                 "no heartbeat has come since the drive was silent, to say whether it has rebooted: ask again.",
             )
         return self._admission.obstacle_to_arming(referenced=self.referenced)
@@ -445,7 +447,7 @@ class Machine:
             moving = abs(self.law.observer.velocity) > self.design.rest_velocity
             self._apply(Event.ENABLED_MOVING if moving else Event.ENABLED)
             if moving:  # pushed by hand, or still coasting: caught, not jerked back
-                self._brake(self.settings.limits.acceleration, "stopped")
+                self._brake(self.settings.limits.acceleration, MoveOutcome.STOPPED)
         elif self._ticks_arming > self._arming_ticks:
             if self.drive.enabled is False:
                 missing = "the drive has not reported that it is enabled"
@@ -511,7 +513,7 @@ class Machine:
             self._begin_leg(target, self.move.velocity)
             return
         self.supervision.forget_move()
-        self._end_move("reached")
+        self._end_move(MoveOutcome.REACHED)
         self._apply(Event.REACHED)
 
     def _home(self) -> None:
@@ -523,7 +525,7 @@ class Machine:
             return
         if self._homing.done and self._homing.reference is not None:
             self._reference_at(self._homing.reference, self.settings.homing.position)
-            self._end_move("reached")
+            self._end_move(MoveOutcome.REACHED)
             self._apply(Event.REACHED)
 
     # Small parts -----------------------------------------------------------------------------------------------------
@@ -534,7 +536,7 @@ class Machine:
             raise RuntimeError(f"event {event} is not admitted in state {self.state}")
         self.state = state
 
-    def _brake(self, deceleration: float, outcome: str, reason: str | None = None) -> None:
+    def _brake(self, deceleration: float, outcome: MoveOutcome, reason: str | None = None) -> None:
         self._end_move(outcome, reason)
         self._deceleration = deceleration
         self.motion.stop(deceleration)
@@ -561,11 +563,11 @@ class Machine:
         self.count.shift(position - found)
         self.reference.find()
 
-    def _end_move(self, outcome: str, reason: str | None = None) -> None:
+    def _end_move(self, outcome: MoveOutcome, reason: str | None = None) -> None:
         self._final_target = None
         if self._homing is not None:
             self._homing.end()
             self._homing = None
-        if self.move is not None and self.move.outcome == "moving":
+        if self.move is not None and self.move.outcome is MoveOutcome.MOVING:
             self.move.outcome = outcome
             self.move.reason = reason

@@ -1,15 +1,6 @@
-"""What goes into and out of an axis: feedback and commands, moves, and refusals to the operator."""
+"""What crosses between an axis and its drive: feedback and commands."""
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
-
-
-class Refused(Exception):  # noqa: N818 - not a fault of the program: the axis' answer to a request
-    """A request that the axis does not carry out; ``code`` is stable, the text is for the operator."""
-
-    def __init__(self, code: str, message: str) -> None:
-        super().__init__(message)
-        self.code = code
+from typing import NamedTuple
 
 
 class Feedback(NamedTuple):
@@ -60,30 +51,3 @@ class Command(NamedTuple):
 
 
 NO_EFFORT = Command(0.0, enable=False)
-
-
-@dataclass(slots=True)
-class Move:
-    """One motion that was asked for, and what became of it.
-
-    Attributes
-    ----------
-    number
-        Counts the moves of an axis.
-    kind
-        ``move`` to a set-point, ``jog`` or ``home``.
-    target, velocity, start
-        Set-point (axis unit), speed (axis unit/s), and where the axis was when it was asked for.
-    outcome
-        ``moving``, ``reached``, ``replaced``, ``stopped`` or ``tripped``.
-    reason
-        Why it was stopped, if not by the operator's `stop`.
-    """
-
-    number: int
-    kind: Literal["move", "jog", "home"]
-    target: float
-    velocity: float
-    start: float
-    outcome: str = "moving"
-    reason: str | None = None

@@ -7,7 +7,8 @@ import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.moves import MoveOutcome
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.cli.output import Progress, bar
@@ -123,12 +124,12 @@ class Demonstration:
         assert self._drive is not None  # noqa: S101 - run() has made it
         self._move = _Move(self.samples[-1].time_s, self._drive.position, self._target)
         expected_s = abs(self._target - move.start) / self._velocity + _SETTLING_S
-        if not await self._until(lambda: move.outcome != "moving", expected_s):
+        if not await self._until(lambda: move.outcome is not MoveOutcome.MOVING, expected_s):
             self.failure = (
                 f"the axis was not within {self._config.axis.window.position:g} {self._config.axis.unit} of "
                 f"the set-point after {expected_s:.1f} s"
             )
-        elif move.outcome == "reached":
+        elif move.outcome is MoveOutcome.REACHED:
             await self._until(lambda: axis.trip is not None, _HOLD_S)
         if axis.trip is not None:
             self.failure = f"the axis tripped: {axis.trip.cause}"

@@ -4,6 +4,7 @@ import itertools
 from collections.abc import Awaitable, Callable, Sequence
 
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
+from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.paper import SPEED_TOLERANCE
@@ -23,7 +24,7 @@ _LATCHED = frozenset(state.value for state in LATCHED)
 async def arrived(world: World) -> str | None:
     """Check that the move was carried out."""
     move = world.axis.move
-    return None if move is None or move.outcome == "reached" else f"the move was {move.outcome}"
+    return None if move is None or move.outcome is MoveOutcome.REACHED else f"the move was {move.outcome}"
 
 
 async def bus_error_reported(world: World) -> str | None:

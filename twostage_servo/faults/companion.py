@@ -3,7 +3,7 @@
 import contextlib
 from typing import TYPE_CHECKING
 
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode

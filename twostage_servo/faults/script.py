@@ -6,7 +6,7 @@ from random import Random
 from typing import TYPE_CHECKING
 
 from twostage_servo.axis.design import AxisDesign
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import COMMANDED, State
 from twostage_servo.config.machine import Machine
 from twostage_servo.control.laws.paper import Stage
@@ -256,7 +256,7 @@ class Script:
 
     async def _arm(self, world: World) -> None:
         if world.service.is_ending:
-            raise Refused("ending", "the service is ending")
+            raise Refused(RefusalCode.ENDING, "the service is ending")
         await world.until(lambda: world.axis.ready_to_arm or world.service.is_ending, max(0.2, 5.0 * world.period_s))
         world.axis.arm()
         await world.until(lambda: world.axis.state is State.HOLDING or world.axis.trip is not None, _READY_S)

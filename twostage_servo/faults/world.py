@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine

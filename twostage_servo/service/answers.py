@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
+from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.service.snapshot import ready_for_json
 
 _RECORDS_A_PIECE: Final = 50
@@ -16,7 +17,7 @@ def encode(answer: Mapping[str, Any]) -> bytes:
     return json.dumps(answer, allow_nan=False, separators=(",", ":")).encode() + b"\n"
 
 
-def failure(code: str, message: str) -> bytes:
+def failure(code: RefusalCode, message: str) -> bytes:
     """Return the line that says why a request is not carried out."""
     return encode({"ok": False, "error": {"code": code, "message": message}})
 

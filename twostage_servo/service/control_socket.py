@@ -28,6 +28,7 @@ from twostage_servo.api.request_reading import (
     parse_request,
 )
 from twostage_servo.api.requests import Request, WatchRequest
+from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.service import answers
 from twostage_servo.service.connection import Connection, wake
 from twostage_servo.service.connections import MOST, Connections
@@ -56,12 +57,12 @@ _SILENT_TICKS: Final = 10
 """Ticks without a request after which a client is no flood."""
 _NO_ROOM: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 _TOO_MANY: Final = answers.failure(
-    "too_many_clients",
+    RefusalCode.TOO_MANY_CLIENTS,
     f"{MOST} clients are the most, and this one was idle the longest. Connect again; "
     "`ss -xp` shows which processes hold the others",
 )
 _NO_PLACE: Final = answers.failure(
-    "too_many_clients",
+    RefusalCode.TOO_MANY_CLIENTS,
     f"{MOST} clients are the most, and too many others wait for a place. Connect again; "
     "`ss -xp` shows which processes hold the others",
 )
@@ -381,7 +382,7 @@ class ControlSocket:
             connection.receive()
         if connection.too_long:
             text = f"a request must fit in {self._longest} bytes"
-            connection.write(answers.failure("bad_request", text))
+            connection.write(answers.failure(RefusalCode.BAD_REQUEST, text))
             connection.end()
             return None
         if not connection.has_line or (connection.gone and self._drop_readings(connection)):
@@ -390,7 +391,7 @@ class ControlSocket:
         try:
             request = parse_request(connection.take_line())
         except BadRequestError as error:
-            connection.write(answers.failure("bad_request", str(error)))
+            connection.write(answers.failure(RefusalCode.BAD_REQUEST, str(error)))
             return None
         if rank_of(request) is Rank.URGENT:
             connection.urgent = request

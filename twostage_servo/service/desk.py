@@ -21,7 +21,7 @@ from twostage_servo.api.requests import (
     StopRequest,
     TakeRequest,
 )
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
 from twostage_servo.service.lease import Lease
 from twostage_servo.service.recorder import Record
@@ -98,7 +98,7 @@ class Desk:
     def defect(self, error: Exception) -> Refused:
         """Let the service end with a defect that a request has shown; return what its client is told."""
         self._service.fail(error)
-        return Refused("internal_error", f"{type(error).__name__}: {error}; the service is stopping")
+        return Refused(RefusalCode.INTERNAL_ERROR, f"{type(error).__name__}: {error}; the service is stopping")
 
     def station(self, name: str | None) -> "Station":
         """Return the axis of a name; without one, the only axis.
@@ -113,7 +113,7 @@ class Desk:
         except KeyError:
             names = ", ".join(station.name for station in self._service.stations)
             text = f"there is no axis {name}" if name is not None else "this concerns one axis, and there are several"
-            raise Refused("which_axis", f"{text}: name one of {names}.") from None
+            raise Refused(RefusalCode.WHICH_AXIS, f"{text}: name one of {names}.") from None
 
     def _handle(self, request: Request, client: str) -> dict[str, Any]:
         name = request.axis if isinstance(request, AxisRequest) else None
@@ -129,7 +129,7 @@ class Desk:
         if isinstance(request, AxisRequest) and request.axis is not None:
             self.station(request.axis)
         if self._service.is_ending:
-            raise Refused("ending", "the service is ending: nothing but reading is possible any more.")
+            raise Refused(RefusalCode.ENDING, "the service is ending: nothing but reading is possible any more.")
         self._command(request, client)
 
     def leave(self, client: str) -> None:
@@ -221,7 +221,7 @@ class Desk:
         for station in stations:
             with self._named(station):
                 if station.port.error is not None:
-                    raise Refused("bus_closed", f"the bus is not open: {station.port.error}")
+                    raise Refused(RefusalCode.BUS_CLOSED, f"the bus is not open: {station.port.error}")
                 station.axis.check_arming()
         for station in stations:
             station.axis.arm()
@@ -264,13 +264,13 @@ class Desk:
             If it would be refused, another one is under way, or the configuration cannot be used.
         """
         if self._service.is_ending:
-            raise Refused("ending", "the service is ending: nothing but reading is possible any more.")
+            raise Refused(RefusalCode.ENDING, "the service is ending: nothing but reading is possible any more.")
         if self.prepare is None:
             return
         with self.lease.demanded(client):
             self._check_disarmed()
             if self._preparing is not None:
-                raise Refused("busy", f"{self._preparing} has asked for `reload` just now: wait for its end.")
+                raise Refused(RefusalCode.BUSY, f"{self._preparing} has asked for `reload` just now: wait for its end.")
             self._preparing, self._prepared = client, None
             try:
                 self._prepared = client, await self.prepare()
@@ -288,7 +288,7 @@ class Desk:
             prepared[1]()
             return
         if self.reload is None:
-            raise Refused("no_configuration", "this service runs on settings that stand in no file.")
+            raise Refused(RefusalCode.NO_CONFIGURATION, "this service runs on settings that stand in no file.")
         self._check_disarmed()
         self.reload()
 
@@ -296,6 +296,6 @@ class Desk:
         for station in self._service.stations:
             if station.axis.state is not State.DISARMED:
                 raise Refused(
-                    "armed",
+                    RefusalCode.ARMED,
                     f"axis {station.name} is {station.axis.state}: settings are read again only while disarmed.",
                 )

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Iterator
 
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 
 
 class Lease:
@@ -32,7 +32,7 @@ class Lease:
         """
         if self.holder not in {None, client}:
             raise Refused(
-                "lease_held",
+                RefusalCode.LEASE_HELD,
                 f"{self.holder} commands this axis: end it, let it `release`, or `take` the lease while the axis is at "
                 "rest. `stop` and `disarm` are open to everybody.",
             )
@@ -65,7 +65,7 @@ class Lease:
             If another client holds the lease and the axis is not at rest.
         """
         if self.holder not in {None, client} and not at_rest:
-            raise Refused("busy", f"the axis moves as {self.holder} has commanded: `stop` it first.")
+            raise Refused(RefusalCode.BUSY, f"the axis moves as {self.holder} has commanded: `stop` it first.")
         self.holder = client
 
     def release(self, client: str) -> bool:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.service.assembly import frames_of, put_axes_in
 from twostage_servo.service.axes_preparation import Job, Prepared
 from twostage_servo.service.turns import Rank
@@ -78,9 +78,9 @@ class Reloading:
             prepared = await loop.run_in_executor(self._thread, self._carry_out, self._job)
         except (OSError, RuntimeError, MemoryError, subprocess.SubprocessError) as error:
             text = f"the configuration could not be read again, and nothing has changed: {error}"
-            raise Refused("config", text) from error
+            raise Refused(RefusalCode.CONFIG, text) from error
         if prepared.problem is not None:
-            raise Refused("config", prepared.problem)
+            raise Refused(RefusalCode.CONFIG, prepared.problem)
         axes: list[Axis] = []
         for packed in prepared.axes:
             async with self._service.turns.turn(Rank.REQUEST):

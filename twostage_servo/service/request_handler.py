@@ -16,7 +16,7 @@ from twostage_servo.api.requests import (
     Request,
     StopRequest,
 )
-from twostage_servo.axis.messages import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.service import answers
 from twostage_servo.service.recorder import Record
 
@@ -117,7 +117,7 @@ class RequestHandler:
         age_s = self._age.now_s() - asker.arrived_after_s
         if age_s > self._age.longest_s and not isinstance(request, _NEVER_TOO_LATE):
             raise Refused(
-                "expired",
+                RefusalCode.EXPIRED,
                 f"this {request.op} may have waited for {age_s:.1f} s before its turn came, and "
                 f"{self._age.longest_s:g} s are the most: look at the axis, and ask again.",
             )

@@ -1,0 +1,57 @@
+"""A motion that was asked for, and what becomes of it."""
+
+import enum
+from dataclasses import dataclass
+
+
+class MoveKind(enum.StrEnum):
+    """What was asked for."""
+
+    MOVE = "move"
+    """To a set-point."""
+    JOG = "jog"
+    """At a velocity, for as long as it is asked for."""
+    HOME = "home"
+    """To find the place from which positions are counted."""
+
+
+class MoveOutcome(enum.StrEnum):
+    """What has become of it."""
+
+    MOVING = "moving"
+    """It is under way."""
+    REACHED = "reached"
+    """The axis has come to rest at its set-point, or has found its reference."""
+    REPLACED = "replaced"
+    """Another one was asked for."""
+    STOPPED = "stopped"
+    """The axis was brought to rest before."""
+    TRIPPED = "tripped"
+    """The axis has tripped before."""
+
+
+@dataclass(slots=True)
+class Move:
+    """One motion that was asked for, and what became of it.
+
+    Attributes
+    ----------
+    number
+        Counts the moves of an axis.
+    kind
+        What was asked for.
+    target, velocity, start
+        Set-point (axis unit), speed (axis unit/s), and where the axis was when it was asked for.
+    outcome
+        What has become of it.
+    reason
+        Why it was stopped, if not by the operator's `stop`.
+    """
+
+    number: int
+    kind: MoveKind
+    target: float
+    velocity: float
+    start: float
+    outcome: MoveOutcome = MoveOutcome.MOVING
+    reason: str | None = None
