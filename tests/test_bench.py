@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
-
-from bench import (
+from tools.bench import (
     budgets,
     client_load,
     clients,
@@ -32,15 +30,14 @@ from bench import (
     summary,
     whole_tick,
 )
-from bench.children import ChildError
-from bench.plan import FULL, QUICK
-
+from tools.bench.children import ChildError
+from tools.bench.plan import FULL, QUICK
 from twostage_servo.api.request_reading import BadRequestError, parse_request
 from twostage_servo.cli.output import CommandError, ExitCode
 from twostage_servo.timing.virtual_clock import run as simulate
 
 if TYPE_CHECKING:
-    from bench.machine import Service
+    from tools.bench.machine import Service
 
 FIGURES = {"p50", "p90", "p99", "max"}
 

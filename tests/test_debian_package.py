@@ -1,6 +1,6 @@
 """The Debian package without its environment: control files, maintainer's scripts, file list.
 
-The whole package is built by ``tools/debian/build.py`` and tried on a fresh Debian by ``tools/rig/fresh_debian.py``.
+``tools.debian.build`` builds the whole package, ``tools.rig.fresh_debian`` tries it on a fresh Debian.
 """
 
 import hashlib
@@ -8,24 +8,20 @@ import os
 import platform
 import shutil
 import subprocess
-import sys
 from importlib.metadata import Distribution
 from pathlib import Path
 
 import pytest
 
+from tests.system.package_trial import differences, inventory
+from tools.debian import build as build_module
+from tools.debian.build import EXAMPLES, SCRIPTS, Stage, control_text, copyright_text, oldest_libc, pack
 from twostage_servo.cli.install_service import service_files
 from twostage_servo.cli.main import main
 from twostage_servo.config.machine import load_machine
 from twostage_servo.service.assembly import compile_profile
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
-sys.path.insert(0, str(TOOLS))
-
-from debian import build as build_module  # noqa: E402 - found by the path above
-from debian.build import EXAMPLES, SCRIPTS, Stage, control_text, copyright_text, oldest_libc, pack  # noqa: E402
-from rig.package_trial import differences, inventory  # noqa: E402
-
 DATE = 1_700_000_000
 PROGRAM = Path("/opt/twostage-servo/bin/twostage-servo")
 TOOLS_OF_DEBIAN = ("systemctl", "udevadm", "systemd-sysusers", "userdel", "groupdel")

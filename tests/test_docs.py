@@ -180,4 +180,4 @@ def test_the_example_of_another_drive_compiles(tmp_path: Path) -> None:
 def test_the_derivation_holds_the_list_of_errata() -> None:
     page = (ROOT / "docs" / "law.md").read_text(encoding="utf-8")
     table = page[page.index("<!-- errata: begin -->\n") : page.index("<!-- errata: end -->")]
-    assert table == f"<!-- errata: begin -->\n{errata_table()}\n", "run tools/write_tables.py"
+    assert table == f"<!-- errata: begin -->\n{errata_table()}\n", "run python -m tools.write_tables"

@@ -1,17 +1,13 @@
 """The matrices in the docs: which share of them a change has to pass, and how it is compared."""
 
-import sys
 from pathlib import Path
 
 import pytest
 
+from tools.faults.matrix import SHARE, Matrix, compare, is_in_share, run, written
 from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.report import as_markdown, rounded
 from twostage_servo.faults.runner import Result
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
-
-from faults.matrix import SHARE, Matrix, compare, is_in_share, run, written
 
 CELLS = [
     Cell(2, "frames lost", "cruising", "Q", "Q", "stale_feedback", 5.4, 12.8, axis="x"),
@@ -55,7 +51,7 @@ def test_a_share_is_the_same_again_and_another_with_another_text() -> None:
 
 
 def test_a_share_runs_those_cells_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("faults.matrix.SHARE", 0.01)
+    monkeypatch.setattr("tools.faults.matrix.SHARE", 0.01)
     ran = run(Path("config/socketcan.toml"), "a1b2")
     assert 0 < len(ran.cells) < 20
     assert all(is_in_share("a1b2", "socketcan", "x", name, phase) for _, _, name, phase in ran.cells)

@@ -4,7 +4,6 @@ import contextlib
 import json
 import math
 import struct
-import sys
 import typing
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,22 +14,19 @@ import pytest
 import structlog
 from pydantic import BaseModel
 
+from tools.fuzz import frames, lines, tomls
+from tools.fuzz.bench import Bench, Failed, quiet_log
+from tools.fuzz.drives import Drive, Kind, all_drives
+from tools.fuzz.lines import Desk, Line
+from tools.fuzz.reference import refusal
+from tools.fuzz.reproducible import reproducible
+from tools.fuzz.request_maker import minimal_request, numeric_fields
+from tools.fuzz.targets import CodecTarget, SocketTarget
 from twostage_servo.api.requests import Request
 from twostage_servo.config.loader import ConfigError, load
 from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.drives.frame import FrameRejected
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
-
-from fuzz import frames, lines, tomls
-from fuzz.bench import Bench, Failed, quiet_log
-from fuzz.drives import Drive, Kind, all_drives
-from fuzz.lines import Desk, Line
-from fuzz.reference import refusal
-from fuzz.reproducible import reproducible
-from fuzz.request_maker import minimal_request, numeric_fields
-from fuzz.targets import CodecTarget, SocketTarget
 
 NUMBERS = ("NaN", "Infinity", "-Infinity", "1e308", "-1e308", "1e400", "-1e400")
 
@@ -42,7 +38,7 @@ def _quiet() -> Iterator[None]:
     structlog.reset_defaults()
 
 
-# A quick share of what tools/fuzz/run.py does -------------------------------------------------------------------------
+# A quick share of what tools.fuzz.run does -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("episode", range(10))

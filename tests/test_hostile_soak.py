@@ -2,21 +2,16 @@
 
 import asyncio
 import json
-import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-TOOLS = Path(__file__).parents[1] / "tools" / "soak"
-sys.path.insert(0, str(TOOLS))
-
-import hostile  # noqa: E402
-from hostile_clients import HostileClients  # noqa: E402
-from hub_gate import HubGate, Mode  # noqa: E402
-
-from tests.service.operators import serve  # noqa: E402
+from tests.service.operators import serve
+from tools.soak import hostile
+from tools.soak.hostile_clients import HostileClients
+from tools.soak.hub_gate import HubGate, Mode
 
 HELD = {"descriptors": 8, "tasks": 4, "threads": 4, "resident_mb": 80.0}
 

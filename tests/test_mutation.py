@@ -7,16 +7,14 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
-
-from mutation.limits import LEAST_CPU_S, OTHERWISE_CPU_S, TIMES, allowed_s
-from mutation.mutant import Mutant
-from mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell
-from mutation.results import KeptResults, digest, in_order, share_of, with_status
-from mutation.rooms import ROOMS, Room, files_of, paths_of_tests
-from mutation.run import arguments, make_plan, share
-from mutation.summary import as_far_as_tried, summarise
-from mutation.trees import TREE, environment
+from tools.mutation.limits import LEAST_CPU_S, OTHERWISE_CPU_S, TIMES, allowed_s
+from tools.mutation.mutant import Mutant
+from tools.mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell
+from tools.mutation.results import KeptResults, digest, in_order, share_of, with_status
+from tools.mutation.rooms import ROOMS, Room, files_of, paths_of_tests
+from tools.mutation.run import arguments, make_plan, share
+from tools.mutation.summary import as_far_as_tried, summarise
+from tools.mutation.trees import TREE, environment
 
 KEYS = [f"service.loop:f{number}: - a + b" for number in range(1000)]
 
@@ -232,7 +230,8 @@ def learn(tree: Path) -> KeptReach:
     kept = KeptReach(tree / "reach.json", tree, ["tests"])
     before = {file: file.read_text() for file in (tree / "twostage_servo").glob("*.py")}
     let_functions_tell(tree)
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "mutation.reach", "-p", "no:cacheprovider", *kept.unknown()]
+    options = ["-q", "-p", "tools.mutation.reach", "-p", "no:cacheprovider"]
+    command = [sys.executable, "-m", "pytest", *options, *kept.unknown()]
     environ = environment(tree, tree / "none") | {OUTPUT: str(tree / "found.json")}
     subprocess.run(command, cwd=tree, env=environ, check=True, capture_output=True)  # noqa: S603 - fixed
     for file, text in before.items():

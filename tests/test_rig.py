@@ -10,20 +10,18 @@ from typing import TYPE_CHECKING, cast
 
 import pytest
 
-TOOLS = Path(__file__).resolve().parents[1] / "tools"
-sys.path.insert(0, str(TOOLS))
-
-from rig import bench as bench_module  # noqa: E402 - found by the path above
-from rig import fresh_debian as fresh_module  # noqa: E402
-from rig import guest as guest_module  # noqa: E402
-from rig import run as run_module  # noqa: E402
-from rig import scenarios as scenarios_module  # noqa: E402
-from rig.guest import Guest, RigError  # noqa: E402
-
-from twostage_servo.cli.main import main  # noqa: E402
+from tests.system import scenarios as scenarios_module
+from tools.rig import bench as bench_module
+from tools.rig import fresh_debian as fresh_module
+from tools.rig import guest as guest_module
+from tools.rig import run as run_module
+from tools.rig.guest import Guest, RigError
+from twostage_servo.cli.main import main
 
 if TYPE_CHECKING:
-    from rig.bench import Bench
+    from tools.rig.bench import Bench
+
+TREE = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture
@@ -98,7 +96,7 @@ def test_a_folder_that_is_to_be_in_memory_is_packed_at_its_path(tmp_path: Path) 
 
 def test_check_accepts_the_configuration_of_the_rigs_axes(tmp_path: Path) -> None:
     path = tmp_path / "x.toml"
-    path.write_text(bench_module.patient((TOOLS.parent / "config/socketcan.toml").read_text()))
+    path.write_text(bench_module.patient((TREE / "config/socketcan.toml").read_text()))
     assert main(["check", "--config", str(path)]) == 0
 
 
@@ -155,8 +153,8 @@ def test_candumps_log_is_decoded_without_the_package(tmp_path: Path) -> None:
         "(1.0) can0 201#18FC1000\n(1.1) can0 181#E8030000010000FF\n(1.2) can0 201#D0073100\n(1.3) can1 201#00004000\n"
         "(1.4) can0 181##118FCFFFF01000000\n(1.5) can0 20000004#0008000000000000\n"
     )
-    command = [sys.executable, str(TOOLS / "rig/decode.py"), str(log), "can0"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - our own program
+    command = [sys.executable, "-m", "tools.rig.decode", str(log), "can0"]
+    done = subprocess.run(command, cwd=TREE, capture_output=True, text=True, check=True)  # noqa: S603 - our own program
     assert json.loads(done.stdout)["can0"] == {
         "commands": 2, "gaps": 1, "feedbacks": 2, "can_fd": 1, "first": 1.0, "last": -1.0, "highest": 1.0,
         "last_command": {"effort": 2.0, "enable": 1}, "braking_commands": 1,

@@ -1,6 +1,5 @@
 """The soak's world: its axes are the demo's in other units, and what breaks an invariant is told."""
 
-import sys
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -8,16 +7,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools" / "soak"))
-
-from axis_soak import AxisSoak
-from configurations import GATES, KINDS, Configuration, Kind, configuration, converted, drawn_by, quieter, variants
-from drive_model import DriveModel, EncoderModel
-from encoder_watch import ENCODER_FACTORS, certain_speed, travel_bound, undetected_travel
-from invariants import BrokenInvariantError, Invariants
-from run import EPISODE_TICKS, keep, kept_results, seeds_for, summarise
-from service_soak import ServiceSoak
-
+from tools.soak.axis_soak import AxisSoak
+from tools.soak.configurations import (
+    GATES,
+    KINDS,
+    Configuration,
+    Kind,
+    configuration,
+    converted,
+    drawn_by,
+    quieter,
+    variants,
+)
+from tools.soak.drive_model import DriveModel, EncoderModel
+from tools.soak.encoder_watch import ENCODER_FACTORS, certain_speed, travel_bound, undetected_travel
+from tools.soak.invariants import BrokenInvariantError, Invariants
+from tools.soak.run import EPISODE_TICKS, keep, kept_results, seeds_for, summarise
+from tools.soak.service_soak import ServiceSoak
 from twostage_servo.axis.detection import slowest_certain_velocity
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
@@ -185,7 +191,7 @@ def linear(gate: float = GATES[0]) -> Configuration:
 
 
 def soak_of(made: Configuration, monkeypatch: pytest.MonkeyPatch, without: frozenset[str] = frozenset()) -> AxisSoak:
-    monkeypatch.setattr("axis_soak.drawn_by", lambda seed: (made, Random(seed)))  # noqa: S311 - a test
+    monkeypatch.setattr("tools.soak.axis_soak.drawn_by", lambda seed: (made, Random(seed)))  # noqa: S311 - a test
     soak = AxisSoak(1, without)
     soak.operator.act = lambda: None  # type: ignore[method-assign]
     return soak

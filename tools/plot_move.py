@@ -1,6 +1,6 @@
 """Draw a move from the trace of a demo.
 
-`.venv/bin/twostage-servo demo --fast --trace move.csv`, then `.venv/bin/python tools/plot_move.py move.csv move.svg`.
+`.venv/bin/twostage-servo demo --fast --trace move.csv`, then `.venv/bin/python -m tools.plot_move move.csv move.svg`.
 """
 
 import argparse

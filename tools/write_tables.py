@@ -1,6 +1,6 @@
 """Write the tables in the docs that come from the code: errata, states, trips, and the fault matrices.
 
-``python tools/write_tables.py`` after a change of what they say; with ``--faults`` the fault campaign on each shipped
+``python -m tools.write_tables`` after a change of what they say; with ``--faults`` the fault campaign on each shipped
 configuration as well, which takes some minutes. ``--check`` writes nothing, and fails if a table is not what the code
 says, or if a fault cell is missed. With ``--share TEXT`` it runs ``demo.toml`` whole, and of each other configuration
 one cell in twelve: the text, such as the hash of a commit, decides on which.
@@ -76,7 +76,7 @@ def matrices(names: Sequence[str], *, check: bool, share: str | None) -> list[st
     SystemExit
         If a cell is missed.
     """
-    from faults.matrix import compare, run  # noqa: PLC0415 - the others need no campaign
+    from tools.faults.matrix import compare, run  # noqa: PLC0415 - the others need no campaign
 
     different = []
     missed: list[str] = []
@@ -93,10 +93,10 @@ def matrices(names: Sequence[str], *, check: bool, share: str | None) -> list[st
             if not (check or matrix.missed):
                 path.write_text(fresh, "utf-8")
     if missed:
-        again = f"; again with: python tools/write_tables.py --faults --check --share {share}" if share else ""
+        again = f"; again with: python -m tools.write_tables --faults --check --share {share}" if share else ""
         sys.exit("\n".join([f"missed{again}:", *missed]))
     if share and different:
-        print(f"again with: python tools/write_tables.py --faults --check --share {share}")
+        print(f"again with: python -m tools.write_tables --faults --check --share {share}")
     return different
 
 

@@ -102,8 +102,8 @@ def test_arming_leads_to_operation_only_by_way_of_the_enabled_drive() -> None:
 
 def test_the_docs_hold_the_tables_that_the_code_makes() -> None:
     page = (Path(__file__).parents[2] / "docs" / "states.md").read_text(encoding="utf-8")
-    assert transition_table() in page, "run tools/write_tables.py"
-    assert trip_table() in page, "run tools/write_tables.py"
+    assert transition_table() in page, "run python -m tools.write_tables"
+    assert trip_table() in page, "run python -m tools.write_tables"
     rows = transition_table().splitlines()[2:]
     assert [row.split("`")[1] for row in rows] == list(State)
     for state, row in zip(State, rows, strict=True):

@@ -1,1 +1,1 @@
-"""Fuzzing of the frames, the control socket and the configuration; `python tools/fuzz/run.py --help`."""
+"""What the service does, frame by frame, as a hash a run; ``python -m tools.behaviour.run --help``."""

@@ -1,6 +1,6 @@
 """What the service does, frame by frame, as one hash a run: two trees that behave the same print the same.
 
-``python tools/behaviour/run.py > before.txt``, then the same in the other tree, on the same machine, and ``diff`` says
+``python -m tools.behaviour.run > before.txt``, then the same in the other tree, on the same machine, and ``diff`` says
 which runs differ. The runs are the demonstrations of all shipped configurations, the demo with faults that its
 simulated drive has, and a machine of two axes on one bus, of which one trips. All of it is in simulated time; with
 ``--json`` as one JSON object.

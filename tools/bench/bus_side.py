@@ -12,9 +12,9 @@ import sys
 import time
 from typing import Final
 
-from bench.plan import HOST, PERIOD_S
-from bench.scheduling import run_at
-from bench.stamping_hub import StampingHub
+from tools.bench.plan import HOST, PERIOD_S
+from tools.bench.scheduling import run_at
+from tools.bench.stamping_hub import StampingHub
 
 PRIORITY: Final = 60
 CHANNEL: Final = "can0"

@@ -12,10 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, Final
 
-from bench.scheduling import run_at
+from tools.bench.scheduling import run_at
 
-TOOLS: Final = Path(__file__).resolve().parents[1]
-ROOT: Final = TOOLS.parent
+ROOT: Final = Path(__file__).resolve().parents[2]
 _PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
 _LIBC: Final = ctypes.CDLL(None)
 _PATIENCE_S: Final = 5.0
@@ -27,12 +26,12 @@ class ChildError(Exception):
 
 def module(name: str, *arguments: object) -> list[str]:
     """Return the command that runs a module of this package in the present interpreter."""
-    return [sys.executable, "-P", "-m", f"bench.{name}", *map(str, arguments)]
+    return [sys.executable, "-P", "-m", f"tools.bench.{name}", *map(str, arguments)]
 
 
 def environment(extra: Mapping[str, str] | None = None) -> dict[str, str]:
     """Return an environment in which this package and the one under test are found, and numpy uses one thread."""
-    folders = [str(TOOLS), str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    folders = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     return os.environ | {"PYTHONPATH": os.pathsep.join(folders), "OPENBLAS_NUM_THREADS": "1"} | dict(extra or {})
 
 

@@ -5,12 +5,12 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from bench.children import ChildError, child, first_line, module
-from bench.client_load import KINDS
-from bench.machine import Machine, Service
-from bench.plan import PERIOD_S, Plan
-from bench.processes import cpu_share
-from bench.summary import Figures, summarise
+from tools.bench.children import ChildError, child, first_line, module
+from tools.bench.client_load import KINDS
+from tools.bench.machine import Machine, Service
+from tools.bench.plan import PERIOD_S, Plan
+from tools.bench.processes import cpu_share
+from tools.bench.summary import Figures, summarise
 
 CONTENDERS: Final = ("none", *KINDS)
 _SETTLING_S: Final = 1.0

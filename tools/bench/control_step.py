@@ -19,10 +19,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from bench.children import json_of, module
-from bench.packages import what_is_missing
-from bench.plan import PERIOD_S, Plan
-from bench.summary import summarise
+from tools.bench.children import json_of, module
+from tools.bench.packages import what_is_missing
+from tools.bench.plan import PERIOD_S, Plan
+from tools.bench.summary import summarise
 from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, extended_model, kalman_gain
 from twostage_servo.control.optimal import ServoGains, servo_gains

@@ -6,13 +6,13 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Final
 
-from bench.bus_side import PRIORITY
-from bench.children import ChildError, child, first_line, module
-from bench.machine import Machine
-from bench.packages import what_is_missing
-from bench.plan import Plan
-from bench.senders import COMMAND, FLOOR, SENDERS, SYNC
-from bench.summary import Figures, summarise
+from tools.bench.bus_side import PRIORITY
+from tools.bench.children import ChildError, child, first_line, module
+from tools.bench.machine import Machine
+from tools.bench.packages import what_is_missing
+from tools.bench.plan import Plan
+from tools.bench.senders import COMMAND, FLOOR, SENDERS, SYNC
+from tools.bench.summary import Figures, summarise
 
 __all__ = ["CONTENDERS", "FLOOR", "measure"]
 

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from bench.children import ChildError, json_of, module, output_of
-from bench.loops import LOOPS
-from bench.packages import what_is_missing
-from bench.plan import PERIOD_S, Plan
-from bench.summary import Figures, summarise, summarise_histogram
+from tools.bench.children import ChildError, json_of, module, output_of
+from tools.bench.loops import LOOPS
+from tools.bench.packages import what_is_missing
+from tools.bench.plan import PERIOD_S, Plan
+from tools.bench.summary import Figures, summarise, summarise_histogram
 
 CONTENDERS: Final = ("ours", "cyclictest", *(name for name in LOOPS if name != "ours"))
 _LARGEST_US: Final = 1_000_000

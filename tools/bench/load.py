@@ -5,7 +5,7 @@ import sys
 from collections.abc import Iterator
 from typing import Final
 
-from bench.children import child
+from tools.bench.children import child
 
 HOGS: Final = 4
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from bench.plan import PERIOD_S
+from tools.bench.plan import PERIOD_S
 from twostage_servo.timing.ticks import Ticks, real_time_loop
 from twostage_servo.timing.wake_margin import wake_margin
 

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from bench.children import ROOT, ChildError, child, first_line, module
-from bench.plan import PATIENT
+from tools.bench.children import ROOT, ChildError, child, first_line, module
+from tools.bench.plan import PATIENT
 from twostage_servo.cli.client import Client
 from twostage_servo.cli.output import CommandError
 

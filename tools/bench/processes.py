@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
-from bench.children import output_of
-from bench.machine import PROGRAM, Machine
-from bench.plan import Plan
-from bench.summary import summarise
+from tools.bench.children import output_of
+from tools.bench.machine import PROGRAM, Machine
+from tools.bench.plan import Plan
+from tools.bench.summary import summarise
 
 _TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
 _LONGEST_STATUS_S: Final = 60.0

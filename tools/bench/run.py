@@ -1,6 +1,6 @@
 """The benchmark: one run measures the service beside other Python loops, senders and filters on the same machine.
 
-``python tools/bench/run.py [--quick] [--json] [--plot FILE.png] [--check]``. Progress goes to stderr, and the result to
+``python -m tools.bench.run [--quick] [--json] [--plot FILE.png] [--check]``. Progress goes to stderr, and the result to
 stdout: a table, or one JSON object. Each contender has p50, p90, p99 and max. What could not be measured is in
 ``not_measured`` with the reason and, where a package is missing, the line that installs it. Nothing leaves the machine.
 """
@@ -19,9 +19,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from bench import (
+from tools.bench import (
     budgets,
     clients,
     control_step,
@@ -32,11 +30,11 @@ from bench import (
     stop_latency,
     whole_tick,
 )
-from bench.children import ChildError
-from bench.load import hogs, unloaded
-from bench.machine import Machine
-from bench.plan import FULL, QUICK, Plan
-from bench.scheduling import may_run_at
+from tools.bench.children import ChildError
+from tools.bench.load import hogs, unloaded
+from tools.bench.machine import Machine
+from tools.bench.plan import FULL, QUICK, Plan
+from tools.bench.scheduling import may_run_at
 from twostage_servo import __version__
 from twostage_servo.cli.output import CommandError
 
@@ -301,7 +299,7 @@ def main() -> int:
         run.finish()
         print(json.dumps(run.result) if options.json else as_text(run.result))
         if options.plot is not None:
-            from bench import plot  # noqa: PLC0415 - matplotlib takes a second
+            from tools.bench import plot  # noqa: PLC0415 - matplotlib takes a second
 
             plot.draw(run.result, options.plot)
         note("done")

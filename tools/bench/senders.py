@@ -15,8 +15,8 @@ from typing import Any, Final, TypeVar
 
 import can
 
-from bench.bus_side import CHANNEL
-from bench.plan import HOST, PERIOD_S
+from tools.bench.bus_side import CHANNEL
+from tools.bench.plan import HOST, PERIOD_S
 
 FLOOR: Final = "floor"
 _Joined = TypeVar("_Joined")

@@ -13,9 +13,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from bench.children import json_of, module
-from bench.plan import PERIOD_S, Plan
-from bench.world import operate
+from tools.bench.children import json_of, module
+from tools.bench.plan import PERIOD_S, Plan
+from tools.bench.world import operate
 from twostage_servo.service.log import open_log
 from twostage_servo.timing.virtual_clock import run
 

@@ -13,7 +13,7 @@ import struct
 import time
 from typing import Final
 
-from bench.plan import HOST
+from tools.bench.plan import HOST
 
 _SO_TIMESTAMPNS: Final = 35
 """asm-generic/socket.h; the control message that it brings has the same number."""

@@ -11,17 +11,17 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
-from bench import client_load, stop_load
-from bench.children import ChildError, child, first_line, json_of, module
-from bench.load import hogs
-from bench.machine import Machine
-from bench.plan import Plan
-from bench.summary import summarise
+from tools.bench import client_load, stop_load
+from tools.bench.children import ChildError, child, first_line, json_of, module
+from tools.bench.load import hogs
+from tools.bench.machine import Machine
+from tools.bench.plan import Plan
+from tools.bench.summary import summarise
 from twostage_servo.cli.client import Client
 from twostage_servo.cli.output import CommandError
 
 CONTENDERS: Final = ("none", *client_load.KINDS, *stop_load.KINDS, "hogs", "eight_axes", "everything")
-"""What runs beside the one who stops; ``everything`` is all of :mod:`bench.stop_load`, the hogs and 8 axes."""
+"""What runs beside the one who stops; ``everything`` is all of :mod:`tools.bench.stop_load`, the hogs and 8 axes."""
 _SETTLING_S: Final = 1.0
 _LONGEST_PAUSE_S: Final = 0.02
 _LONGEST_ANSWER_S: Final = 5.0

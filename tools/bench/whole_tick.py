@@ -16,10 +16,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.children import ChildError, json_of, module
-from bench.plan import Plan
-from bench.summary import percentile, summarise
-from bench.world import operate
+from tools.bench.children import ChildError, json_of, module
+from tools.bench.plan import Plan
+from tools.bench.summary import percentile, summarise
+from tools.bench.world import operate
 from twostage_servo.service.log import open_log
 from twostage_servo.service.loop import ServoService
 from twostage_servo.timing.ticks import real_time_loop

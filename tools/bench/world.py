@@ -8,8 +8,8 @@ from collections import defaultdict
 from collections.abc import AsyncIterator, Callable
 from typing import Final
 
-from bench.children import ROOT
-from bench.plan import PATIENT
+from tools.bench.children import ROOT
+from tools.bench.plan import PATIENT
 from twostage_servo.api.requests import ArmRequest, MoveRequest, Request
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import Link

@@ -1,4 +1,4 @@
-"""Build the Debian package: `python3 tools/debian/build.py --output FOLDER`.
+"""Build the Debian package: `python3 -m tools.debian.build --output FOLDER`.
 
 The package needs nothing from a network where it is installed: /opt/twostage-servo is a virtual environment with all
 that the service imports. It is for the processor and the Python of the machine that it is built on, Debian 12 or newer;

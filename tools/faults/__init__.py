@@ -1,1 +1,1 @@
-"""The matrices of the fault campaign in the docs: the tool is `python tools/write_tables.py --help`."""
+"""The matrices of the fault campaign in the docs: the tool is `python -m tools.write_tables --help`."""

@@ -1,1 +1,1 @@
-"""Fuzzing of the frames, the control socket and the configuration; `python tools/fuzz/run.py --help`."""
+"""Fuzzing of the frames, the control socket and the configuration; `python -m tools.fuzz.run --help`."""

@@ -15,7 +15,7 @@ from typing import Any
 import can
 import structlog
 
-from fuzz.drives import Drive
+from tools.fuzz.drives import Drive
 from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State

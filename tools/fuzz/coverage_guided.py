@@ -13,7 +13,7 @@ def fuzz(target: str, description: str) -> None:
     Parameters
     ----------
     target
-        Its name in :mod:`fuzz.targets`.
+        Its name in :mod:`tools.fuzz.targets`.
     description
         For `--help`.
     """
@@ -27,7 +27,7 @@ def fuzz(target: str, description: str) -> None:
     except ImportError as error:
         parser.error(f"{error}; install it beside the package: pip install atheris")
     with atheris.instrument_imports(include=["twostage_servo"]):
-        one_input = getattr(importlib.import_module("fuzz.targets"), target)()
+        one_input = getattr(importlib.import_module("tools.fuzz.targets"), target)()
     here = Path(__file__).parent
     folder = options.corpus or here / "corpus" / target
     failures = here / "failures"

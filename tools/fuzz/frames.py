@@ -5,12 +5,12 @@ from typing import Any
 
 import can
 
-from fuzz.bench import Bench, Failed
-from fuzz.drives import EXTREMES, all_drives
-from fuzz.outcome import Outcome
-from fuzz.reference import refusal
-from fuzz.reproducible import reproducible
-from fuzz.request_maker import RequestMaker
+from tools.fuzz.bench import Bench, Failed
+from tools.fuzz.drives import EXTREMES, all_drives
+from tools.fuzz.outcome import Outcome
+from tools.fuzz.reference import refusal
+from tools.fuzz.reproducible import reproducible
+from tools.fuzz.request_maker import RequestMaker
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.service.answers import encode

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from fuzz.bench import Bench, Failed
-from fuzz.drives import all_drives
-from fuzz.outcome import Outcome
-from fuzz.reproducible import reproducible
-from fuzz.request_maker import RequestMaker, numeric_fields, request_schemas
+from tools.fuzz.bench import Bench, Failed
+from tools.fuzz.drives import all_drives
+from tools.fuzz.outcome import Outcome
+from tools.fuzz.reproducible import reproducible
+from tools.fuzz.request_maker import RequestMaker, numeric_fields, request_schemas
 from twostage_servo.api.request_reading import LONGEST_LINE, BadRequestError, parse_request
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State

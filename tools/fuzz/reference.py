@@ -7,7 +7,7 @@ from fractions import Fraction
 import can
 from cantools.database.can import Signal
 
-from fuzz.drives import Kind
+from tools.fuzz.drives import Kind
 
 
 def refusal(kind: Kind, message: can.Message) -> str | None:

@@ -1,6 +1,6 @@
 """Fuzz the frames, the control socket's lines, or the configurations.
 
-`python tools/fuzz/run.py frames --count 10000000 --jobs 2`; likewise `lines` and `tomls`. Every case follows from the
+`python -m tools.fuzz.run frames --count 10000000 --jobs 2`; likewise `lines` and `tomls`. Every case follows from the
 seed, which is printed: with `--episode` one episode runs again, alone. Exit code 1 when anything was found.
 """
 
@@ -21,13 +21,12 @@ from functools import partial
 from pathlib import Path
 from types import FrameType
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for matrices of order 3, more threads only wait for each other
 
-from fuzz import frames, lines, tomls  # noqa: E402 - found by the path above
-from fuzz.bench import quiet_log  # noqa: E402
-from fuzz.outcome import Outcome  # noqa: E402
-from twostage_servo.worker_process import end_with_parent  # noqa: E402
+from tools.fuzz import frames, lines, tomls
+from tools.fuzz.bench import quiet_log
+from tools.fuzz.outcome import Outcome
+from twostage_servo.worker_process import end_with_parent
 
 _MODES = {"frames": frames, "lines": lines, "tomls": tomls}
 _COUNTS = {"frames": 10_000_000, "lines": 1_000_000, "tomls": 10_000}
@@ -89,7 +88,7 @@ class _Progress:
 
 def _keep(folder: Path, mode: str, seed: int, episode: int, findings: list[str]) -> str:
     """Save findings; return how to see them again."""
-    command = f"python tools/fuzz/run.py {mode} --seed {seed} --episode {episode}"
+    command = f"python -m tools.fuzz.run {mode} --seed {seed} --episode {episode}"
     with contextlib.suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         text = "\n\n".join([f"{command}\n", *findings])

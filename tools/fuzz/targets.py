@@ -6,11 +6,11 @@ from pathlib import Path
 
 import can
 
-from fuzz.bench import Bench, BenchLoop, quiet_log
-from fuzz.drives import Kind, all_drives
-from fuzz.frames import compare_with_reference
-from fuzz.lines import Desk, Line, corpus
-from fuzz.reproducible import reproducible
+from tools.fuzz.bench import Bench, BenchLoop, quiet_log
+from tools.fuzz.drives import Kind, all_drives
+from tools.fuzz.frames import compare_with_reference
+from tools.fuzz.lines import Desk, Line, corpus
+from tools.fuzz.reproducible import reproducible
 from twostage_servo.axis.state import State
 
 _MOST_LINES = 20

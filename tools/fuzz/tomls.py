@@ -16,10 +16,10 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from fuzz.bench import Bench, Failed
-from fuzz.drives import Drive
-from fuzz.outcome import Outcome
-from fuzz.reproducible import reproducible
+from tools.fuzz.bench import Bench, Failed
+from tools.fuzz.drives import Drive
+from tools.fuzz.outcome import Outcome
+from tools.fuzz.reproducible import reproducible
 from twostage_servo.axis.state import State
 from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
 from twostage_servo.service.assembly import build_service

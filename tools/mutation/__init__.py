@@ -1,1 +1,1 @@
-"""Mutation testing of the rooms `control` and `axis`; `python tools/mutation/run.py --help`."""
+"""Mutation testing of the rooms `control` and `axis`; `python -m tools.mutation.run --help`."""

@@ -1,6 +1,6 @@
 """What mutmut does in the throw-away copy; started by :mod:`run` as a process of its own, in that copy.
 
-``engine.py CORES PLAN RESULTS FILE...`` mutates the files, runs mutmut, and writes one JSON object a mutant to RESULTS.
+``CORES PLAN RESULTS FILE...``: mutates the files, runs mutmut, and writes one JSON object a mutant to RESULTS.
 PLAN is JSON: what became of a mutant whose key is under ``known`` is taken from there, and it is not tried; ``only``,
 unless null, names the keys to look at, ``sample`` how many of them, ``share`` which part, ``seed`` in which order; what
 becomes of each is added to ``kept`` at once; after ``most_s`` seconds no other is begun. ``reach`` is
@@ -9,8 +9,8 @@ what :mod:`reach` found, and ``most_tests_s`` how long the tests of a mutant may
 mutmut's own operators are used but for the strings, with three added: a comparison is negated, a condition is negated,
 and an ``and`` or ``or`` loses either side. Places that mutmut leaves out are taken in. A property is written as an
 assignment first, which mutmut can mutate. Numbers, signs and conditions outside functions, in constants and defaults,
-are given out with status ``fresh``, for :mod:`mutation.run` to try in processes of their own; so is what survived of a
-function that the import of the tests calls, because mutmut forks after it and does not see what a mutant changes there.
+are given out with status ``fresh``, for :mod:`tools.mutation.run` to try in processes of their own; so is what survived
+of a function that the import of the tests calls: mutmut forks after it and does not see what a mutant changes there.
 """
 
 import contextlib
@@ -28,11 +28,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from mutation.mutant import Mutant  # noqa: E402 - found by the path above
-from mutation.reach import Reach  # noqa: E402 - likewise
-from mutation.results import KeptResults, in_order, share_of  # noqa: E402 - likewise
+from tools.mutation.mutant import Mutant
+from tools.mutation.reach import Reach
+from tools.mutation.results import KeptResults, in_order, share_of
 
 cst: Any = importlib.import_module("libcst")
 file_mutation: Any = importlib.import_module("mutmut.mutation.file_mutation")

@@ -7,9 +7,9 @@ import sys
 import time
 from pathlib import Path
 
-from mutation.mutant import Mutant
-from mutation.results import KeptResults, with_status
-from mutation.trees import PYTEST, copied, environment
+from tools.mutation.mutant import Mutant
+from tools.mutation.results import KeptResults, with_status
+from tools.mutation.trees import PYTEST, copied, environment
 
 MOST_WALL_S = 600
 """For the tests of a mutant."""

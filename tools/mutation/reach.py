@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import pytest
 
-from mutation.results import digest
+from tools.mutation.results import digest
 
 OUTPUT = "MUTATION_REACH"
 """Environment variable with the path of the file to which the plugin writes; without it the plugin does nothing."""

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Final, Self
 
-from mutation.mutant import Mutant
+from tools.mutation.mutant import Mutant
 
 DECIDED: Final = frozenset({"killed", "timeout", "survived"})
 

@@ -1,6 +1,6 @@
 """Mutation testing: what the tests of a room would not notice if its code were wrong.
 
-``python tools/mutation/run.py control`` changes `twostage_servo/control/` in a throw-away copy, one small change at a
+``python -m tools.mutation.run control`` changes `twostage_servo/control/` in a throw-away copy, one small change at a
 time, and lets `tests/control` find out; ``axis``, ``service`` and ``client`` likewise, see :mod:`rooms`. The whole of a
 room takes the better part of an hour on two cores, or more; ``--only observer.py`` takes some minutes. It exits with 1
 if less than the room's least share of the mutants is found, or if one that is not found has no reason in
@@ -44,16 +44,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-sys.path[0] = str(HERE.parent)
-
-from mutation.mutant import Mutant  # noqa: E402 - found by the path above
-from mutation.processes import verdicts  # noqa: E402 - likewise
-from mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell  # noqa: E402 - likewise
-from mutation.results import KeptResults  # noqa: E402 - likewise
-from mutation.rooms import ROOMS, files_of, paths_of_tests  # noqa: E402 - likewise
-from mutation.summary import as_far_as_tried, as_text, reasons, summarise  # noqa: E402 - likewise
-from mutation.trees import PYTEST, TREE, copied, environment  # noqa: E402 - likewise
+from tools.mutation.mutant import Mutant
+from tools.mutation.processes import verdicts
+from tools.mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell
+from tools.mutation.results import KeptResults
+from tools.mutation.rooms import ROOMS, files_of, paths_of_tests
+from tools.mutation.summary import as_far_as_tried, as_text, reasons, summarise
+from tools.mutation.trees import PYTEST, TREE, copied, environment
 
 LEAST_SCORE = {"control": 0.9, "axis": 0.9, "service": 0.85, "client": 0.85}
 NEEDED = {"mutmut": "mutmut>=3.8,<3.9", "pytest": "pytest", "hypothesis": "hypothesis"}
@@ -78,7 +75,7 @@ def what_tests_reach(folder: Path, tests: list[str], path: Path | None) -> Reach
         tree, found = copied(folder / "unmutated"), folder / "reach.json"
         let_functions_tell(tree)
         print(f"unmutated first: {len(kept.unknown())} files of tests", file=sys.stderr)
-        command = [sys.executable, "-m", "pytest", "-q", "-p", "mutation.reach", *PYTEST, *kept.unknown()]
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "tools.mutation.reach", *PYTEST, *kept.unknown()]
         environ = environment(tree, folder / "none.json") | {OUTPUT: str(found)}
         code = subprocess.run(command, cwd=tree, env=environ, stdout=sys.stderr, check=False).returncode  # noqa: S603
         if code:
@@ -103,10 +100,10 @@ def forked(folder: Path, tests: list[str], paths: list[str], plan: dict[str, Any
         values = {"paths": json.dumps(paths), "tests": json.dumps(tests), "arguments": json.dumps(PYTEST)}
         file.write(SETTINGS.format(**values))
     results = tree / "mutation.jsonl"
-    command = [sys.executable, str(HERE / "engine.py"), str(jobs), "plan.json", str(results), *paths]
+    command = [sys.executable, "-P", "-m", "tools.mutation.engine", str(jobs), "plan.json", str(results), *paths]
     environ = environment(tree, folder / "spent.json")
     # mutmut puts its mutated copy of the tree before everything else itself.
-    environ["PYTHONPATH"] = str(HERE.parent)
+    environ["PYTHONPATH"] = str(TREE)
     code = subprocess.run(command, cwd=tree, env=environ, stdout=sys.stderr, check=False).returncode  # noqa: S603
     if code:
         raise SystemExit(f"mutmut ended with {code}")

@@ -5,8 +5,8 @@ from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
-from mutation.mutant import Mutant
-from mutation.results import in_order, with_status
+from tools.mutation.mutant import Mutant
+from tools.mutation.results import in_order, with_status
 
 
 def reasons() -> dict[str, str]:

@@ -4,11 +4,10 @@ import os
 import shutil
 from pathlib import Path
 
-from mutation.limits import SPENT
+from tools.mutation.limits import SPENT
 
-TOOLS = Path(__file__).resolve().parent.parent
-TREE = TOOLS.parent
-PYTEST = ["-p", "no:cacheprovider", "-p", "mutation.limits", "-m", "not processes"]
+TREE = Path(__file__).resolve().parents[2]
+PYTEST = ["-p", "no:cacheprovider", "-p", "tools.mutation.limits", "-m", "not processes"]
 PYTEST += [
     # It starts a process of another user, in which mutmut's own code cannot find what it needs.
     "--deselect=tests/service/test_control_socket.py::test_who_may_not_enter_the_folder_of_the_socket_is_told_so",
@@ -28,7 +27,7 @@ def environment(tree: Path, spent: Path) -> dict[str, str]:
     """Return the environment in which a tree's tests see that tree, and how long each of them may take."""
     return os.environ | {
         "CI": "1",
-        "PYTHONPATH": os.pathsep.join([str(tree), str(TOOLS)]),
+        "PYTHONPATH": os.pathsep.join([str(tree), str(TREE)]),
         "PYTHONDONTWRITEBYTECODE": "1",
         "OPENBLAS_NUM_THREADS": "1",
         SPENT: str(spent),

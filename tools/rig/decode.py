@@ -1,6 +1,6 @@
 """Decode a log of candump with cantools and the shipped DBC, without a line of the package.
 
-`python tools/rig/decode.py LOG CHANNEL...` prints as JSON, for each channel, the number of commands and feedbacks, the
+`python -m tools.rig.decode LOG CHANNEL...` prints as JSON, for each channel, the number of commands and feedbacks, the
 commands that their counter shows to be lost, the first and last position, the last command, how many commands braked.
 """
 

@@ -1,9 +1,9 @@
-"""Try the Debian package on a fresh Debian: `sudo python3 tools/rig/fresh_debian.py [OLDER NEWER]`.
+"""Try the Debian package on a fresh Debian: `sudo python3 -m tools.rig.fresh_debian [OLDER NEWER]`.
 
 Makes a Debian of nothing but its base, systemd, Python and CAN tools with debootstrap, once, in the cache; boots it in
-the rig's virtual machine, which has no network; and goes through package_trial.py there: install, move, upgrade, trip,
-roll back, an instance, remove, purge, and no file left. Without packages it builds two of this tree. Exit code: 0 all
-holds, 1 something does not, 124 the time limit, 125 the rig itself failed.
+the rig's virtual machine, which has no network; and goes through tests/system/package_trial.py there: install, move,
+upgrade, trip, roll back, an instance, remove, purge, and no file left. Without packages it builds two of
+this tree. Exit code: 0 all holds, 1 something does not, 124 the time limit, 125 the rig itself failed.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-HERE: Final = Path(__file__).resolve().parent
+TREE: Final = Path(__file__).resolve().parents[2]
 _INCLUDED: Final = ("systemd", "systemd-sysv", "udev", "dbus", "kmod", "iproute2", "can-utils", "python3")
 _RIG_FAILED: Final = 125
 
@@ -71,8 +71,8 @@ def make_packages(folder: Path) -> tuple[Path, Path]:
     """Build the package of this tree, and once more as if it were a day older; return the older one first."""
 
     def build(environment: Mapping[str, str]) -> Mapping[str, Any]:
-        program = str(HERE.parent / "debian/build.py")
-        told = _run(sys.executable, program, "--output", str(folder), "--json", environment=environment)
+        command = (sys.executable, "-m", "tools.debian.build", "--output", str(folder), "--json")
+        told = _run(*command, folder=TREE, environment=environment)
         built: Mapping[str, Any] = json.loads(told)
         return built
 
@@ -83,11 +83,11 @@ def make_packages(folder: Path) -> tuple[Path, Path]:
 
 def try_out(root: Path, packages: Sequence[Path], cache: Path, timeout_s: float) -> tuple[int, dict[str, Any]]:
     """Boot, and go through the trial; return the rig's exit code and what the trial has told."""
-    inside = [str(Path("/host", *path.resolve().parts[1:])) for path in (HERE / "package_trial.py", *packages)]
-    rig = (sys.executable, str(HERE / "run.py"), "--cache", str(cache), "--root", str(root), "--memory", "3072")
-    command = (*rig, "--timeout", str(timeout_s), "--", "/usr/bin/python3", *inside)
+    inside = [str(Path("/host", *path.resolve().parts[1:])) for path in packages]
+    rig = (sys.executable, "-m", "tools.rig.run", "--cache", str(cache), "--root", str(root), "--memory", "3072")
+    command = (*rig, "--timeout", str(timeout_s), "--", "/usr/bin/python3", "-m", "tests.system.package_trial", *inside)
     told: dict[str, Any] = {}
-    with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as running:
+    with subprocess.Popen(command, cwd=TREE, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True) as running:
         assert running.stdout is not None  # noqa: S101 - for the type checker
         for line in running.stdout:
             if line.startswith('{"ok":'):
@@ -135,7 +135,7 @@ def main() -> int:
             packages = options.packages or make_packages(Path(name))
             root = make_root(options.cache.resolve(), options.suite, options.mirror or apts_mirror(options.suite))
             made_s = time.monotonic() - begun
-            status, told = try_out(root, packages, options.cache, options.timeout)
+            status, told = try_out(root, packages, options.cache.resolve(), options.timeout)
             result |= told | {"made_s": round(made_s, 1), "bytes": packages[-1].stat().st_size}
         except (FreshError, OSError) as error:
             result["error"] = str(error)

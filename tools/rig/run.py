@@ -1,6 +1,6 @@
 """Boot a throw-away virtual machine with CAN and systemd, and run a command in it.
 
-`python tools/rig/run.py -- COMMAND...` is for Debian and Ubuntu on amd64. KVM is used where it works. The machine has
+`python -m tools.rig.run -- COMMAND...` is for Debian and Ubuntu on amd64. KVM is used where it works. The machine has
 two emulated Kvaser boards, can0 and can1, on one bus, and sees the host's files at their paths, without changing any.
 With `--root FOLDER` it boots from the system in that folder instead, and sees the host's files below /host.
 Without COMMAND it only fetches what it needs.
@@ -23,9 +23,7 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, Final, NamedTuple
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from rig.guest import Guest, RigError  # noqa: E402 - found by the path above
+from tools.rig.guest import Guest, RigError
 
 TIME_LIMIT: Final = 124
 RIG_FAILED: Final = 125

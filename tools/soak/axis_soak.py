@@ -2,13 +2,12 @@
 
 from typing import TYPE_CHECKING
 
-from configurations import drawn_by
-from drive_model import DriveModel
-from drive_watch import DriveWatch
-from encoder_watch import ENCODER_FACTORS, EncoderWatch
-from invariants import BrokenInvariantError, Invariants
-from operator_model import OperatorModel
-
+from tools.soak.configurations import drawn_by
+from tools.soak.drive_model import DriveModel
+from tools.soak.drive_watch import DriveWatch
+from tools.soak.encoder_watch import ENCODER_FACTORS, EncoderWatch
+from tools.soak.invariants import BrokenInvariantError, Invariants
+from tools.soak.operator_model import OperatorModel
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.axis.trips import TripCode

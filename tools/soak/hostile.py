@@ -1,6 +1,6 @@
 """The real service in real time, under hostile clients, signals and hubs: what it holds at the end, and at first.
 
-``python tools/soak/hostile.py --hours 1`` runs service and drive as processes on the loopback address. Clients that do
+``python -m tools.soak.hostile --hours 1`` runs service and drive as processes on the loopback address. Clients that do
 not read, do not end, flood, abort and crowd are stopped and killed; the socket is deleted; the hub vanishes, comes
 back, and greets slowly or never. After a warm-up, and at the end, all is left alone until it is quiet, and the service
 says what it holds: descriptors, tasks, threads, memory. Progress goes to stderr, the verdict to stdout; with ``--json``
@@ -24,17 +24,13 @@ from pathlib import Path
 from random import Random
 from typing import Any, Final
 
-sys.path.insert(0, str(Path(__file__).parent))
-
-from hub_gate import HubGate, Mode
-
+from tools.soak.hub_gate import HubGate, Mode
 from twostage_servo.config.loader import load
 from twostage_servo.faults.bench import bench_overrides
 
 MOST_GROWTH_MB: Final = 1.0
 HELD: Final = ("descriptors", "tasks", "threads", "resident_mb")
 
-_TOOLS: Final = Path(__file__).parent
 _ROOT: Final = Path(__file__).parents[2]
 _LONGEST_ANSWER_S: Final = 10.0
 _LONGEST_START_S: Final = 60.0
@@ -108,7 +104,7 @@ class Hostility:
         own = [f"service.socket={json.dumps(str(self._socket))}", "axis.limits.stale_feedback_ms=300.0"]
         self._drive = self._child("drive", ["-m", "twostage_servo.faults.child"], "drive", config, hub_port, [])
         await self._until(lambda: "on the bus" in self._log("drive"), "the drive to be on the bus")
-        measured = [str(_TOOLS / "measured_service.py")]
+        measured = ["-m", "tools.soak.measured_service"]
         self._service = self._child("service", measured, "run", config, self._gate.port, own)
         await self._until(self._socket.exists, "the control socket")
         await self._ask({"op": "reload"})  # whose thread stays
@@ -135,7 +131,7 @@ class Hostility:
     def _new_clients(self) -> None:
         self._crews += 1
         seed, counts = self._random.randrange(1 << 30), self._folder / f"counts-{self._crews}.json"
-        command = [str(_TOOLS / "hostile_clients.py"), str(os.getpid()), str(self._socket), str(seed), str(counts)]
+        command = ["-m", "tools.soak.hostile_clients", str(os.getpid()), str(self._socket), str(seed), str(counts)]
         self._clients = self._spawn("clients", command)
 
     def _end_clients(self) -> None:

@@ -1,4 +1,4 @@
-"""Hostile clients of a control socket, by seed: ``hostile_clients.py PARENT SOCKET SEED COUNTS``.
+"""Hostile clients of a control socket, by seed: ``PARENT SOCKET SEED COUNTS``.
 
 Each of a number of clients does one thing after the other, most of which no sensible program would. The file COUNTS
 says once a second how often each has been done. The process is meant to be stopped and killed at any moment.

@@ -1,4 +1,4 @@
-"""The command line, that also says on SIGUSR2 what its process holds: ``measured_service.py PARENT REPORT VERB ...``.
+"""The command line, that also says on SIGUSR2 what its process holds: ``PARENT REPORT VERB ...``.
 
 The report is a file with one JSON object: ``tasks`` of the loop, also ``tasks_by_name``, ``threads``, ``descriptors``,
 ``resident_mb``, ``processor_s`` used so far, and the ``number`` of the request for it. The service itself writes it,

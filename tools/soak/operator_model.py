@@ -4,9 +4,8 @@ import math
 from collections.abc import Callable
 from random import Random
 
-from drive_model import DriveModel
-from encoder_watch import EncoderWatch
-
+from tools.soak.drive_model import DriveModel
+from tools.soak.encoder_watch import EncoderWatch
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import Refused

@@ -1,6 +1,6 @@
 """Soak: months of operation in simulated time, on all cores, with random configurations, requests and faults by seed.
 
-``python tools/soak/run.py axis --hours 1000`` runs axes with their drives, without a bus; ``service --hours 50`` runs
+``python -m tools.soak.run axis --hours 1000`` runs axes with their drives, without a bus; ``service --hours 50`` runs
 whole services over CAN frames, with clients at their socket. Each episode has a seed of its own, which decides on its
 configuration as well, and can be run again alone: ``--first-seed N --episodes 1``. Progress goes to stderr; Ctrl-C ends
 the run with what has been done so far. With ``--results FILE`` each episode is kept in that file, and those that it
@@ -18,14 +18,12 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parent))
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from axis_soak import AxisSoak
-from configurations import drawn_by
-from invariants import BrokenInvariantError, resident_mb
-from service_soak import ServiceSoak
-
+from tools.soak.axis_soak import AxisSoak
+from tools.soak.configurations import drawn_by
+from tools.soak.invariants import BrokenInvariantError, resident_mb
+from tools.soak.service_soak import ServiceSoak
 from twostage_servo.service.log import open_log
 from twostage_servo.worker_process import end_with_parent
 

@@ -9,10 +9,10 @@ from random import Random
 from typing import TYPE_CHECKING
 
 import can
-from bad_clients import ANSWERED_WITHIN_S, BadClients
-from drive_watch import DriveWatch
-from encoder_watch import ENCODER_FACTORS, EncoderWatch
 
+from tools.soak.bad_clients import ANSWERED_WITHIN_S, BadClients
+from tools.soak.drive_watch import DriveWatch
+from tools.soak.encoder_watch import ENCODER_FACTORS, EncoderWatch
 from twostage_servo.axis.state import COMMANDED, DRIVEN, ENABLED, State
 from twostage_servo.faults import bus_faults, host_faults
 from twostage_servo.faults.world import SERVICE, World

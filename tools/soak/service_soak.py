@@ -11,13 +11,13 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bad_clients import BadClients
-from configurations import drawn_by
-from encoder_watch import EncoderWatch
-from invariants import BrokenInvariantError, Invariants
 from pydantic import ValidationError
-from service_mishaps import ServiceMishaps
 
+from tools.soak.bad_clients import BadClients
+from tools.soak.configurations import drawn_by
+from tools.soak.encoder_watch import EncoderWatch
+from tools.soak.invariants import BrokenInvariantError, Invariants
+from tools.soak.service_mishaps import ServiceMishaps
 from twostage_servo.api.requests import REQUESTS
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import Refused

@@ -7,8 +7,7 @@ import sys
 import time
 from pathlib import Path
 
-from rig.bench import ROOT, Bench, run
-from rig.checks import (
+from tests.system.checks import (
     IDLE_SHARE,
     Figures,
     check,
@@ -19,6 +18,7 @@ from rig.checks import (
     shows,
     tripped,
 )  # fmt: skip
+from tools.rig.bench import Bench, run
 
 
 def starts_without_its_buses(bench: Bench) -> Figures:
@@ -56,7 +56,7 @@ def moves_by_the_command_line(bench: Bench) -> Figures:
     bench.operate("disarm")
     bench.end("candump", signal.SIGINT)
     log.write_text(bench.log("candump"))
-    decoded = json.loads(run(sys.executable, str(ROOT / "tools/rig/decode.py"), str(log), "can0", "vcan0"))
+    decoded = json.loads(run(sys.executable, "-m", "tools.rig.decode", str(log), "can0", "vcan0"))
     seen = {"x": decoded["can0"], "y": decoded["vcan0"]}
     for axis, target in (("x", 400.0), ("y", -50.0)):
         check(abs(places[axis] - target) < 0.1, f"{axis} arrives", **places)

@@ -9,8 +9,8 @@ import sys
 import time
 from pathlib import Path
 
-from rig.bench import GROUP, OPERATOR, PROGRAM, ROOT, SOCKET, UNIT, Bench, run
-from rig.checks import Figures, check, disarmed, move
+from tests.system.checks import Figures, check, disarmed, move
+from tools.rig.bench import GROUP, OPERATOR, PROGRAM, SOCKET, UNIT, Bench, run
 
 _PRIORITY = 40
 
@@ -102,7 +102,7 @@ def stops_as_it_should(bench: Bench) -> Figures:
     code, result = bench.shown("ExecMainStatus"), bench.shown("Result")
     bench.end("stop", signal.SIGINT)
     log = bench.folder / "stop.log"
-    seen = json.loads(run(sys.executable, str(ROOT / "tools/rig/decode.py"), str(log), "can0"))["can0"]
+    seen = json.loads(run(sys.executable, "-m", "tools.rig.decode", str(log), "can0"))["can0"]
     check((code, result) == ("0", "success"), "exit code 0", code=code, result=result)
     check(seen["last_command"] == {"effort": 0.0, "enable": 0}, "the last command disables the drive", **seen)
     check(seen["braking_commands"] > 0, "the axis was braked, not let go", **seen)

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-from rig.bench import Bench, run
+from tools.rig.bench import Bench, run
 
 Figures = dict[str, Any]
 

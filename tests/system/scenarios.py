@@ -1,6 +1,6 @@
 """What must hold on a real bus, under a real systemd.
 
-``python tools/rig/run.py --timeout 600 -- PYTHON tools/rig/scenarios.py``
+``python -m tools.rig.run --timeout 600 -- PYTHON -m tests.system.scenarios``
 
 PYTHON is one of a virtual environment that the system's Python has made and that has this package installed, not
 editable: the service runs as a user of its own. One boot, one service with axis x on can0 and axis y on vcan0 (CAN FD),
@@ -18,11 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from rig.bench import Bench  # noqa: E402 - found by the path above
-from rig.checks import Figures, restore  # noqa: E402
-from rig.on_the_bus import (  # noqa: E402
+from tests.system.checks import Figures, restore
+from tests.system.on_the_bus import (
     board_removed,
     bus_blocked,
     error_frames,
@@ -32,7 +29,7 @@ from rig.on_the_bus import (  # noqa: E402
     queue_full_of_others,
     starts_without_its_buses,
 )  # fmt: skip
-from rig.under_systemd import (  # noqa: E402
+from tests.system.under_systemd import (
     has_its_rights_and_no_more,
     is_killed_by_the_watchdog,
     is_restarted_after_a_kill,
@@ -40,6 +37,7 @@ from rig.under_systemd import (  # noqa: E402
     obeys_the_group_alone,
     stops_as_it_should,
 )  # fmt: skip
+from tools.rig.bench import Bench
 
 SCENARIOS: Final[tuple[Callable[[Bench], Figures], ...]] = (
     starts_without_its_buses, has_its_rights_and_no_more, obeys_the_group_alone, moves_by_the_command_line,

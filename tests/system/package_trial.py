@@ -1,8 +1,8 @@
-"""What must hold of the Debian package on a fresh Debian, without a network; fresh_debian.py runs it in its guest.
+"""What must hold of the Debian package on a fresh Debian, without a network; tools.rig.fresh_debian runs it.
 
-``package_trial.py OLDER NEWER``: installs the older package, moves an axis under systemd as an operator does, upgrades,
-trips, rolls back, runs an instance, removes and purges, and compares all files before and after. Prints a line a step,
-then one JSON object. Exit code 1 if a step fails.
+``python3 -m tests.system.package_trial OLDER NEWER`` installs the older package, moves an axis under systemd as an
+operator does, upgrades, trips, rolls back, runs an instance, removes and purges, and compares all files before and
+after. Prints a line a step, then one JSON object. Exit code 1 if a step fails.
 """
 
 import contextlib
@@ -16,9 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
-sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from rig.bench import CONFIGURATION, GROUP, OPT, PATIENT_UNIT, UNIT, attempt, patient, run  # noqa: E402 - as above
+from tools.rig.bench import CONFIGURATION, GROUP, OPT, PATIENT_UNIT, UNIT, attempt, patient, run
 
 Figures = dict[str, Any]
 
@@ -201,7 +199,7 @@ class Trial:
         """Kill the drive under an armed axis: the service leaves a file of its last ticks."""
         self._operate("arm")
         check(self._drive is not None, "the drive runs")
-        assert self._drive is not None  # noqa: S101 - for the type checker
+        assert self._drive is not None
         self._drive.kill()
         self._drive.wait()
         took = _until("trips", lambda: self._status()["trip"])
