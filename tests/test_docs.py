@@ -10,6 +10,7 @@ import pytest
 from can import Message
 
 from twostage_servo.api.requests import Request
+from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import build_parser
@@ -18,7 +19,6 @@ from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE
 from twostage_servo.paper.errata import errata_table
-from twostage_servo.service.assembly import build_service
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.service.status_line import WORDS
 

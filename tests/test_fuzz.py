@@ -281,7 +281,7 @@ def test_the_bench_finds_a_rejection_that_is_not_counted(monkeypatch: pytest.Mon
 
 def test_the_bench_finds_an_effort_beyond_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twostage_servo.axis.motion.Motion.step", lambda *_: 25.0)
-    monkeypatch.setattr("twostage_servo.service.assembly.check_detection", lambda _: None)  # which steps as well
+    monkeypatch.setattr("twostage_servo.app.assembly.check_detection", lambda _: None)  # which steps as well
     with pytest.raises(Failed, match="the effort is 25"):
         frames.run_episode(7, 0, 2000)
 

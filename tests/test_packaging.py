@@ -24,7 +24,21 @@ MAY_IMPORT = {
     "simulation": {"canbus", "control", "drives"},
     "host": set[str](),
     "api": set[str](),
-    "service": {"api", "axis", "canbus", "control", "drives", "config", "host"},
+    "telemetry": {"axis"},
+    "service": {"api", "axis", "canbus", "control", "drives", "host", "telemetry"},
+    "app": {
+        "api",
+        "axis",
+        "canbus",
+        "config",
+        "control",
+        "drives",
+        "host",
+        "paper",
+        "service",
+        "simulation",
+        "telemetry",
+    },
     "faults": {
         "api",
         "axis",
@@ -33,6 +47,8 @@ MAY_IMPORT = {
         "drives",
         "simulation",
         "service",
+        "telemetry",
+        "app",
         "config",
         "cli",
     },  # its children are whole programs
@@ -49,6 +65,8 @@ MAY_IMPORT = {
         "config",
         "faults",
         "paper",
+        "app",
+        "telemetry",
     },
     # config only composes the rooms' settings; it may take nothing else from them (see below).
     "config": {

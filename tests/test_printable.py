@@ -2,6 +2,7 @@
 
 import io
 import json
+import math
 import re
 import sys
 import unicodedata
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 from twostage_servo.cli.axis_text import describe, lines_of
 from twostage_servo.cli.main import build_parser
 from twostage_servo.cli.output import Progress, note, print_json, print_line
-from twostage_servo.printable import printable, printable_json, printable_line
+from twostage_servo.printable import printable, printable_json, printable_line, ready_for_json
 from twostage_servo.service.journal import journal_entry
 from twostage_servo.service.log import open_log
 
@@ -153,3 +154,8 @@ def test_no_other_place_writes_to_a_terminal() -> None:
         if re.search(r"\bprint\(|sys\.std(out|err)\.write", path.read_text(encoding="utf-8"))
     }
     assert writers == {"cli/output.py", "faults/power_cut.py"}  # the latter writes numbers to its parent
+
+
+def test_what_is_no_number_in_json_is_null() -> None:
+    values = [1.5, math.nan, math.inf, -math.inf, None, "nan", 7, True]
+    assert ready_for_json(values) == [1.5, None, None, None, None, "nan", 7, True]

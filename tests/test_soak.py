@@ -24,6 +24,7 @@ from tools.soak.encoder_watch import ENCODER_FACTORS, certain_speed, travel_boun
 from tools.soak.invariants import BrokenInvariantError, Invariants
 from tools.soak.run import EPISODE_TICKS, keep, kept_results, seeds_for, summarise
 from tools.soak.service_soak import ServiceSoak
+from twostage_servo.app.assembly import design
 from twostage_servo.axis.detection import slowest_certain_velocity
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
@@ -32,7 +33,6 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.config.loader import load
 from twostage_servo.control.laws.paper import Stage
 from twostage_servo.control.margins import closed_loop_poles
-from twostage_servo.service.assembly import design
 
 LINEAR = KINDS[0]
 

@@ -1,7 +1,9 @@
 """Text on its way to a terminal, which takes some characters for orders: none of these leaves as it is."""
 
+import math
 import unicodedata
-from typing import Final
+from collections.abc import Iterable
+from typing import Any, Final
 
 _SPACE: Final = "Zs"  # unicodedata's category of every blank: harmless, though str.isprintable() knows one of them only
 
@@ -30,6 +32,11 @@ def printable_line(text: str) -> str:
 def printable_json(text: str) -> str:
     """Return JSON that has ASCII only, as JSON without the one control character that its writers leave in."""
     return text.replace("\x7f", "\\u007f")
+
+
+def ready_for_json(values: Iterable[Any]) -> list[Any]:
+    """Return values in which a number that is not finite, which JSON can't say, is null."""
+    return [None if isinstance(value, float) and not math.isfinite(value) else value for value in values]
 
 
 def _escaped(character: str) -> str:

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
+from twostage_servo.app.reloading import LONGEST_S
 from twostage_servo.cli import operate
 from twostage_servo.cli.client import BAD_USAGE, Client
 from twostage_servo.cli.main import main
 from twostage_servo.cli.output import CommandError, ExitCode
-from twostage_servo.service.reloading import LONGEST_S
 
 SNAPSHOT = {"event": "snapshot", "n": 1}
 

@@ -8,12 +8,12 @@ import pytest
 
 from tests.host.machine import FakeKernel, fake_host
 from tests.host.test_can_interface import UP, healthy
+from twostage_servo.app.assembly import compile_profile, cyclic_frames
 from twostage_servo.cli.host import examine
 from twostage_servo.cli.main import main
 from twostage_servo.config.loader import load
 from twostage_servo.config.machine import load_machine
 from twostage_servo.host.findings import Status
-from twostage_servo.service.assembly import compile_profile, cyclic_frames
 from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
 SOCKETCAN = Path(__file__).parents[2] / "config" / "socketcan.toml"

@@ -623,7 +623,7 @@ WITH_A_DEFECT = (
     "-c",
     """
 from twostage_servo.cli.main import entry_point
-from twostage_servo.service.recorder import Recorder
+from twostage_servo.telemetry.recorder import Recorder
 
 add = Recorder.add
 def broken(recorder, record):

@@ -11,7 +11,7 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.client import Answer
 from twostage_servo.cli.output import CommandError, ExitCode
 from twostage_servo.service.status_line import status_line
-from twostage_servo.service.trip_files import TripFiles
+from twostage_servo.telemetry.trip_files import TripFiles
 
 CLOSED = "the bus is closed: socketcan can0 cannot be opened: Network is down"
 SILENT = "no fresh feedback from the drive for 90 ms"

@@ -32,7 +32,7 @@ from twostage_servo.faults.world import World
 from twostage_servo.service.ending_signals import EndingSignals
 from twostage_servo.service.log import open_log
 from twostage_servo.service.socket_file import SocketFile
-from twostage_servo.service.trip_files import TripFiles
+from twostage_servo.telemetry.trip_files import TripFiles
 
 pytestmark = pytest.mark.long
 

@@ -23,6 +23,7 @@ from typing import Any, cast
 import can
 import pytest
 
+from twostage_servo.app.assembly import compile_profile, design
 from twostage_servo.axis.state import State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.loader import load
@@ -37,7 +38,6 @@ from twostage_servo.faults.processes import HostedFault, hosted_cells, run_hoste
 from twostage_servo.faults.script import NotOperableError
 from twostage_servo.faults.table import Phase
 from twostage_servo.faults.watchdog import Watchdog
-from twostage_servo.service.assembly import compile_profile, design
 from twostage_servo.service.notify import Notifier
 
 pytestmark = pytest.mark.processes

@@ -8,12 +8,12 @@ from typing import TypeVar
 
 import can
 
+from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.state import State
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import load
 from twostage_servo.drives.dbc.profile import Command
-from twostage_servo.service.assembly import build_service
 from twostage_servo.service.loop import ServoService
 from twostage_servo.service.station import Station
 from twostage_servo.simulation.bus import Wire

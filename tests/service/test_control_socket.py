@@ -28,9 +28,9 @@ from twostage_servo.axis.state import State
 from twostage_servo.service import answers
 from twostage_servo.service.answers import encode
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, _Door
-from twostage_servo.service.recorder import Record, Recorder
 from twostage_servo.service.request_handler import Asker, Reply
 from twostage_servo.service.turns import Rank
+from twostage_servo.telemetry.recorder import Record, Recorder
 
 
 @pytest.fixture

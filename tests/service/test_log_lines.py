@@ -16,7 +16,7 @@ from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.service.control_socket import ControlSocket, _Door
 from twostage_servo.service.port import Port
-from twostage_servo.service.trip_files import TripFiles
+from twostage_servo.telemetry.trip_files import TripFiles
 from twostage_servo.timing.ticks import Tick
 
 Lines = Iterable[Mapping[str, Any]]

@@ -15,7 +15,7 @@ from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.trip_files import TripFiles
+from twostage_servo.telemetry.trip_files import TripFiles
 from twostage_servo.timing.virtual_clock import run
 
 

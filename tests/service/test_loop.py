@@ -10,13 +10,13 @@ import structlog
 
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, StatusRequest
+from twostage_servo.app.assembly import build_axis, put_axes_in
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import LinkError
 from twostage_servo.config.loader import load
 from twostage_servo.drives.dbc.profile import Command
-from twostage_servo.service.assembly import build_axis, put_axes_in
 from twostage_servo.service.settings import stop_ms
 
 

@@ -5,8 +5,8 @@ import pytest
 
 from tests.host_loop import HostLoop
 from tests.service.rig import BUS
+from twostage_servo.app.assembly import build_service
 from twostage_servo.config.loader import load
-from twostage_servo.service.assembly import build_service
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.timing.output_offset import FixedOffset
 

@@ -9,9 +9,9 @@ import structlog
 from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import Trip, TripCode
-from twostage_servo.service.recorder import Record
 from twostage_servo.service.reporter import Reporter
-from twostage_servo.service.trip_files import TripFile
+from twostage_servo.telemetry.recorder import Record
+from twostage_servo.telemetry.trip_files import TripFile
 from twostage_servo.timing.ticks import Tick
 
 ENCODER = "positions are those that the encoder counts: a place that was set before the service started is not known"

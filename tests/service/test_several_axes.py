@@ -12,16 +12,16 @@ import pytest
 import structlog
 
 from twostage_servo.api.requests import REQUESTS
+from twostage_servo.app.assembly import build_service, reload_machine
+from twostage_servo.app.configuration_files import shipped_configuration
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link
-from twostage_servo.cli.configuration import shipped_configuration
 from twostage_servo.config.loader import ConfigError
 from twostage_servo.config.machine import load_machine
-from twostage_servo.service.assembly import build_service, reload_machine
 from twostage_servo.service.loop import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive

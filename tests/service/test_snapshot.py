@@ -1,6 +1,5 @@
 """What `status` shows: each value under its name, and nothing where nothing is known."""
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +9,8 @@ from tests.service.rig import World, simulate
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.service.snapshot import ready_for_json, report_service
-from twostage_servo.service.trip_files import TripFile
+from twostage_servo.service.snapshot import report_service
+from twostage_servo.telemetry.trip_files import TripFile
 
 
 def test_a_drive_that_was_never_heard_has_no_position_and_no_age() -> None:
@@ -136,8 +135,3 @@ def test_what_all_axes_have_in_common() -> None:
         assert report_service(world.service)["realtime"] == {"spin": "off"}
 
     simulate(script)
-
-
-def test_what_is_no_number_in_json_is_null() -> None:
-    values = [1.5, math.nan, math.inf, -math.inf, None, "nan", 7, True]
-    assert ready_for_json(values) == [1.5, None, None, None, None, "nan", 7, True]

@@ -22,11 +22,11 @@ from typing import Final
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from twostage_servo.api.requests import REQUESTS
+from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.cli.main import main as run_verb
 from twostage_servo.config.machine import load_machine
-from twostage_servo.service.assembly import build_service
 from twostage_servo.service.log import open_log
 from twostage_servo.service.loop import ServoService
 from twostage_servo.simulation.bus import Wire

@@ -11,11 +11,11 @@ from typing import Final
 from tools.bench.children import ROOT
 from tools.bench.plan import PATIENT
 from twostage_servo.api.requests import ArmRequest, MoveRequest, Request
+from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import Link
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.config.machine import Machine
-from twostage_servo.service.assembly import build_service
 from twostage_servo.service.loop import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive

@@ -17,11 +17,11 @@ import structlog
 
 from tools.fuzz.drives import Drive
 from twostage_servo.api.requests import REQUESTS
+from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.control.plant import Plant
-from twostage_servo.service.assembly import build_service
 from twostage_servo.timing.ticks import Tick, Ticks
 from twostage_servo.timing.virtual_clock import VirtualClockLoop
 

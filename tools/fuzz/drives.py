@@ -13,13 +13,13 @@ from cantools.database import load_file
 from cantools.database.can import Database, Message
 from pydantic import BaseModel
 
+from twostage_servo.app.assembly import compile_profile
 from twostage_servo.axis.settings import LimitSettings
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.drives.dbc.checksum import CHECKSUMS
 from twostage_servo.drives.dbc.profile import LARGEST_POSITION, DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
-from twostage_servo.service.assembly import compile_profile
 
 _FOLDER = Path(__file__).parent / "dbc"
 _BIG = (1e9, -1e12, 3.4028234e38, -1e300, 1e308, -1.7976931348623157e308)

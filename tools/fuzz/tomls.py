@@ -20,9 +20,9 @@ from tools.fuzz.bench import Bench, Failed
 from tools.fuzz.drives import Drive
 from tools.fuzz.outcome import Outcome
 from tools.fuzz.reproducible import reproducible
+from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.state import State
 from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
-from twostage_servo.service.assembly import build_service
 
 PER_EPISODE = 25
 """Configurations of one episode."""

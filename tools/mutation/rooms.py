@@ -41,8 +41,15 @@ ROOMS = {
         ),
     ),
     "service": Room(
-        ("service", "api"),
-        ("tests/service", "tests/api", "tests/test_printable.py", "tests/canbus/test_slow_opening.py"),
+        ("app", "service", "telemetry", "api"),
+        (
+            "tests/app",
+            "tests/service",
+            "tests/telemetry",
+            "tests/api",
+            "tests/test_printable.py",
+            "tests/canbus/test_slow_opening.py",
+        ),
     ),
     "client": Room(("cli/client.py", "client"), ("tests/cli", "tests/client", "tests/api/test_socket_trust.py")),
 }

@@ -8,10 +8,10 @@ from tools.soak.drive_watch import DriveWatch
 from tools.soak.encoder_watch import ENCODER_FACTORS, EncoderWatch
 from tools.soak.invariants import BrokenInvariantError, Invariants
 from tools.soak.operator_model import OperatorModel
+from twostage_servo.app.assembly import build_axis, compile_profile
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.service.assembly import build_axis, compile_profile
 
 if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from twostage_servo.app.configuration_files import find_configuration
 from twostage_servo.cli.output import CommandError, ExitCode
 
 if TYPE_CHECKING:
@@ -81,18 +82,3 @@ def configuration_problems() -> "Iterator[None]":
         problems = [problem._asdict() for problem in error.problems]
         text = f"the configuration cannot be used\n{error}"
         raise CommandError(ExitCode.USAGE, "config", text, {"problems": problems}) from error
-
-
-def find_configuration(path: Path | None) -> Path | None:
-    """Return a path that exists as it is; a bare name that does not may be one of the shipped files."""
-    if path is None or path.exists() or path.parent != Path():
-        return path
-    shipped = shipped_configuration(path.name)
-    return shipped if shipped.exists() else path
-
-
-def shipped_configuration(name: str) -> Path:
-    """Return where a file that came with this package is, whatever lies in the working directory."""
-    import importlib.resources
-
-    return Path(str(importlib.resources.files("twostage_servo_config"))) / name

@@ -2,15 +2,16 @@
 
 import argparse
 import csv
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
-from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
+from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
 from twostage_servo.cli.typed_numbers import decimal
 
 if TYPE_CHECKING:
-    from twostage_servo.cli.demonstration import Sample
+    from twostage_servo.app.demonstration import Sample
 
 
 _PATIENCE = (
@@ -46,9 +47,9 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     import asyncio
     import contextlib
 
-    from twostage_servo.cli.demonstration import Demonstration, Sample
+    from twostage_servo.app.demonstration import Demonstration, Sample
+    from twostage_servo.app.punctual import punctual
     from twostage_servo.service.log import open_log
-    from twostage_servo.service.punctual import punctual
     from twostage_servo.timing.ticks import real_time_loop
     from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
@@ -67,7 +68,8 @@ def _demo(options: argparse.Namespace) -> ExitCode:
             farthest = min(
                 max(start + _CRUISE_S * velocity, axis.limits.position_minimum), axis.limits.position_maximum
             )
-            demo = Demonstration(loaded, farthest if options.to is None else options.to, velocity, progress)
+            show = functools.partial(_show, progress, axis.unit)
+            demo = Demonstration(loaded, farthest if options.to is None else options.to, velocity, show)
         setup = contextlib.nullcontext() if options.fast else punctual(demo.service, loaded.config.realtime)
         with asyncio.Runner(loop_factory=VirtualClockLoop if options.fast else real_time_loop) as runner, setup:
             runner.run(demo.run())
@@ -85,6 +87,12 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     else:
         print_line(_summary(result, loaded.config.axis.unit, fast=options.fast))
     return ExitCode.DONE if demo.failure is None else ExitCode.FAILED
+
+
+def _show(progress: Progress, unit: str, share: float, sample: "Sample") -> None:
+    progress.show(
+        f"{bar(share)} {sample.true_position:9.2f} {unit} {sample.true_velocity:8.1f} {unit}/s  {sample.state}"
+    )
 
 
 def _write_trace(path: Path, fields: tuple[str, ...], samples: "list[Sample]") -> None:

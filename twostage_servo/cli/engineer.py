@@ -46,9 +46,9 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 def _check(options: argparse.Namespace) -> ExitCode:
     from pathlib import Path
 
+    from twostage_servo.app.assembly import build_service
     from twostage_servo.config.loader import Config, describe
     from twostage_servo.config.machine import MachineConfig
-    from twostage_servo.service.assembly import build_service
     from twostage_servo.service.settings import longest_end_s
 
     if options.explain:
@@ -188,7 +188,7 @@ def _explain(row: Any) -> str:
 
 
 def _design(options: argparse.Namespace) -> ExitCode:
-    from twostage_servo.service.assembly import design
+    from twostage_servo.app.assembly import design
 
     loaded = load_configuration(options)
     with configuration_problems():

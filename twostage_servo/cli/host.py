@@ -212,8 +212,8 @@ def _doctor(options: argparse.Namespace) -> ExitCode:
 
 def _designs(machine: "Machine") -> "Iterator[AxisDesign]":
     """Yield the design of each axis that can be designed; what is wrong with another is for `check` to say."""
+    from twostage_servo.app.assembly import design
     from twostage_servo.config.loader import ConfigError
-    from twostage_servo.service.assembly import design
 
     for loaded in machine.axes:
         with contextlib.suppress(ConfigError):
@@ -232,15 +232,15 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
     """
     from pathlib import Path
 
+    from twostage_servo.app.assembly import socket_path
     from twostage_servo.host.can_interface import check_can_interface
     from twostage_servo.host.findings import Finding, Status
     from twostage_servo.host.folder_checks import folder_finding
     from twostage_servo.host.kernel import Kernel
     from twostage_servo.host.machine_checks import check_machine
     from twostage_servo.host.service_manager import service_manager_finding
-    from twostage_servo.service.assembly import socket_path
     from twostage_servo.service.settings import longest_end_s, with_time_to_stop
-    from twostage_servo.service.trip_files import default_folder
+    from twostage_servo.telemetry.trip_files import default_folder
 
     trips = Path(machine.service.trip_folder or default_folder()).absolute()
     service = with_time_to_stop(machine.service, _designs(machine))
@@ -279,9 +279,9 @@ def _socket_finding(path: "Path") -> "Finding":
 
 
 def _load_finding(axes: "list[LoadedConfig[Config]]", tick_s: float, bit_rate: int | None) -> "Finding":
+    from twostage_servo.app.assembly import compile_profile, cyclic_frames
     from twostage_servo.canbus.bus_load import bus_load
     from twostage_servo.host.findings import Finding, Status
-    from twostage_servo.service.assembly import compile_profile, cyclic_frames
 
     name = "bus load"
     if axes[0].config.bus.fd:

@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twostage_servo.app.configuration_files import find_configuration
 from twostage_servo.cli.axis_text import describe, line_of, lines_of, progress_line, reports_of, states_of, unheard_of
-from twostage_servo.cli.configuration import find_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
 from twostage_servo.cli.typed_numbers import decimal, whole
 

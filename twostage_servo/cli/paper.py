@@ -108,7 +108,7 @@ def _unwritable(path: Path, error: OSError) -> CommandError:
 
 
 def _run_frames() -> "dict[str, FramesComparison]":
-    from twostage_servo.cli.behind_frames import compare_with_frames
+    from twostage_servo.app.behind_frames import compare_with_frames
     from twostage_servo.paper.examples import EXAMPLES
     from twostage_servo.service.log import open_log
 

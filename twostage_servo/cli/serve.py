@@ -4,7 +4,8 @@ import argparse
 import contextlib
 from typing import TYPE_CHECKING, Any
 
-from twostage_servo.cli.configuration import add_options, configuration_problems, find_configuration, load_machine
+from twostage_servo.app.configuration_files import find_configuration
+from twostage_servo.cli.configuration import add_options, configuration_problems, load_machine
 from twostage_servo.cli.output import CommandError, ExitCode, print_json
 
 if TYPE_CHECKING:
@@ -51,9 +52,9 @@ def _run(options: argparse.Namespace) -> int:
 def _run_service(options: argparse.Namespace, signals: "EndingSignals") -> ExitCode:
     import asyncio
 
-    from twostage_servo.service.assembly import build_service
+    from twostage_servo.app.assembly import build_service
+    from twostage_servo.app.punctual import punctual
     from twostage_servo.service.log import open_log
-    from twostage_servo.service.punctual import punctual
     from twostage_servo.timing.ticks import real_time_loop
 
     machine = _load_for_processes(options)
@@ -92,13 +93,13 @@ async def _serve(
 
     import structlog
 
-    from twostage_servo.service.assembly import socket_path
+    from twostage_servo.app.assembly import socket_path
+    from twostage_servo.app.reloading import Reloading
     from twostage_servo.service.control_socket import ControlSocket
     from twostage_servo.service.notify import Notifier
-    from twostage_servo.service.reloading import Reloading
     from twostage_servo.service.request_age import time_asleep_s
     from twostage_servo.service.status_line import StatusLine
-    from twostage_servo.service.trip_files import TripFiles, default_folder
+    from twostage_servo.telemetry.trip_files import TripFiles, default_folder
 
     path = socket_path(machine.service)
     notifier, loop = Notifier(), asyncio.get_running_loop()
@@ -171,7 +172,7 @@ def _drive(options: argparse.Namespace) -> int:
 def _run_drives(options: argparse.Namespace, signals: "EndingSignals") -> None:
     import asyncio
 
-    from twostage_servo.service.assembly import compile_profile
+    from twostage_servo.app.assembly import compile_profile
     from twostage_servo.service.log import open_log
     from twostage_servo.timing.ticks import real_time_loop
 

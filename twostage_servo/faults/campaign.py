@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from twostage_servo.app.assembly import compile_profile, design
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.faults.budget import Budget, Reference
@@ -24,7 +25,6 @@ from twostage_servo.faults.table import (
     Fault,
     Phase,
 )
-from twostage_servo.service.assembly import compile_profile, design
 from twostage_servo.timing.virtual_clock import run
 
 if TYPE_CHECKING:

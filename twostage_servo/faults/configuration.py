@@ -6,10 +6,10 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+from twostage_servo.app.assembly import build_service, compile_profile
 from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.table import REFUSED, TOLERATED, Phase
-from twostage_servo.service.assembly import build_service, compile_profile
 
 _MISSING = "stale_feedback_ms"
 _STEPS = 40

@@ -16,7 +16,7 @@ import structlog
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.faults.world import OPERATOR, World
 from twostage_servo.service.log import open_log
-from twostage_servo.service.trip_files import TripFiles
+from twostage_servo.telemetry.trip_files import TripFiles
 
 Injection = Callable[[World, Random], None]
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
+from twostage_servo.app.assembly import design
 from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
 from twostage_servo.axis.state import State
 from twostage_servo.faults.approach import Approach, distance
@@ -19,7 +20,6 @@ from twostage_servo.faults.listening import Order, Snapshot
 from twostage_servo.faults.table import DISABLED, HELD, TOLERATED, Phase
 from twostage_servo.faults.watchdog import Watchdog
 from twostage_servo.faults.world import Sample
-from twostage_servo.service.assembly import design
 
 STOPPED, KILLED, ENDED, HUNG = 37, 38, 39, 42
 

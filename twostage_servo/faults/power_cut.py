@@ -16,7 +16,7 @@ from random import Random
 from typing import Any
 
 from twostage_servo.faults.child import die_with
-from twostage_servo.service.trip_files import write_file
+from twostage_servo.telemetry.trip_files import write_file
 
 RECORDS = 200
 """Ticks in a file: a recording of 2 s."""

@@ -15,7 +15,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.faults.bus_faults import foreign_command
 from twostage_servo.faults.world import World
 from twostage_servo.service.ending_signals import EndingSignals
-from twostage_servo.service.trip_files import Document, Records, TripFile, TripFiles, write_file
+from twostage_servo.telemetry.trip_files import Document, Records, TripFile, TripFiles, write_file
 
 if TYPE_CHECKING:
     import concurrent.futures

@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pydantic import ValidationError
 
 from twostage_servo.api.requests import REQUESTS
+from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.faults.companion import Companion
-from twostage_servo.service.assembly import build_service
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from twostage_servo.axis.refusals import RefusalCode
-from twostage_servo.service.snapshot import ready_for_json
+from twostage_servo.printable import ready_for_json
 
 _RECORDS_A_PIECE: Final = 50
 

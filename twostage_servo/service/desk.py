@@ -24,8 +24,8 @@ from twostage_servo.api.requests import (
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
 from twostage_servo.service.lease import Lease
-from twostage_servo.service.recorder import Record
 from twostage_servo.service.together import velocities_to_arrive_together
+from twostage_servo.telemetry.recorder import Record
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Sequence

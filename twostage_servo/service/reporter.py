@@ -6,8 +6,8 @@ import structlog
 
 from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.service.disabled_report import DisabledReport
-from twostage_servo.service.recorder import Record
-from twostage_servo.service.trip_files import TripFile
+from twostage_servo.telemetry.recorder import Record
+from twostage_servo.telemetry.trip_files import TripFile
 from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from twostage_servo.axis.trips import Trip
     from twostage_servo.service.station import Station
-    from twostage_servo.service.trip_files import Document, TripFiles
+    from twostage_servo.telemetry.trip_files import Document, TripFiles
 
 
 class Reporter:

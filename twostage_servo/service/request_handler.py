@@ -18,7 +18,7 @@ from twostage_servo.api.requests import (
 )
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.service import answers
-from twostage_servo.service.recorder import Record
+from twostage_servo.telemetry.recorder import Record
 
 if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService

@@ -1,8 +1,6 @@
 """The state of the service and of an axis as JSON objects: what `status` and `watch` show."""
 
-import math
 import os
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from twostage_servo import __version__
@@ -121,8 +119,3 @@ def report_axis(station: "Station") -> dict[str, Any]:
 def _measured(times: TimeHistogram) -> dict[str, float] | None:
     """Return None rather than zeros where nothing has been measured: not every bus dates its frames."""
     return times.summary() if times.count else None
-
-
-def ready_for_json(values: Iterable[Any]) -> list[Any]:
-    """Return values in which a number that is not finite, which JSON can't say, is null."""
-    return [None if isinstance(value, float) and not math.isfinite(value) else value for value in values]

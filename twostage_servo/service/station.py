@@ -12,9 +12,9 @@ from twostage_servo.axis.state import ENABLED
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.service.receiver import Receiver
-from twostage_servo.service.recorder import Record, Recorder
 from twostage_servo.service.reporter import Reporter
 from twostage_servo.service.snapshot import report_axis
+from twostage_servo.telemetry.recorder import Record, Recorder
 from twostage_servo.timing.histogram import TimeHistogram
 from twostage_servo.timing.ticks import Tick
 

@@ -15,17 +15,17 @@ import structlog
 from tests.service.rig import World, simulate
 from tests.service.test_reload import DEMO, change
 from twostage_servo.api.requests import ReloadRequest
+from twostage_servo.app import assembly
+from twostage_servo.app import reloading as module
+from twostage_servo.app.assembly import frames_of
+from twostage_servo.app.axes_preparation import Job, Prepared, prepare
+from twostage_servo.app.reloading import Reloading, by_a_process
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine
-from twostage_servo.service import assembly
-from twostage_servo.service import reloading as module
-from twostage_servo.service.assembly import frames_of
-from twostage_servo.service.axes_preparation import Job, Prepared, prepare
 from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.reloading import Reloading, by_a_process
 
 
 @pytest.fixture

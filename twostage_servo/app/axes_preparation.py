@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from twostage_servo.app.assembly import DriveFrames, prepare_axes
 from twostage_servo.config.loader import ConfigError
 from twostage_servo.config.machine import Machine, load_machine
-from twostage_servo.service.assembly import DriveFrames, prepare_axes
 
 
 class Job(NamedTuple):

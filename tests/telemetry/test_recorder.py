@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twostage_servo.axis.state import State
-from twostage_servo.service.recorder import Record, Recorder
+from twostage_servo.telemetry.recorder import Record, Recorder
 
 numbers = st.floats(allow_nan=False)
 records = st.builds(

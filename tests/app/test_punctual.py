@@ -6,12 +6,12 @@ import pytest
 import structlog
 
 from tests.service.rig import World, simulate
+from twostage_servo.app import punctual as module
+from twostage_servo.app.punctual import punctual
 from twostage_servo.host import realtime
 from twostage_servo.host.garbage import GarbageCollection
 from twostage_servo.host.realtime import Grant, RealtimeReport
 from twostage_servo.host.settings import RealtimeSettings
-from twostage_servo.service import punctual as module
-from twostage_servo.service.punctual import punctual
 from twostage_servo.timing.output_offset import FixedOffset
 from twostage_servo.timing.ticks import Tick
 from twostage_servo.timing.wake_margin import FixedMargin

@@ -23,9 +23,9 @@ from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.paper import TwoStageLaw
-from twostage_servo.service import trip_files
-from twostage_servo.service.recorder import Record
-from twostage_servo.service.trip_files import KEPT, TripFiles, default_folder, write_file
+from twostage_servo.telemetry import trip_files
+from twostage_servo.telemetry.recorder import Record
+from twostage_servo.telemetry.trip_files import KEPT, TripFiles, default_folder, write_file
 from twostage_servo.timing.virtual_clock import run
 
 Trace = list[tuple[int, str, int, bytes]]
@@ -446,7 +446,7 @@ def test_a_trip_for_which_there_is_no_memory_is_told_and_changes_nothing_else(
         elif where == "snapshot":
             monkeypatch.setattr("twostage_servo.service.reporter.Reporter._document", no_memory)
         else:
-            monkeypatch.setattr("twostage_servo.service.recorder.Recorder.keep", no_memory)
+            monkeypatch.setattr("twostage_servo.telemetry.recorder.Recorder.keep", no_memory)
 
     trace, snapshot = trip_in_mid_move(tmp_path, disk=exhaust)
     assert trace == undisturbed

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
+from twostage_servo.app.assembly import frames_of, put_axes_in
+from twostage_servo.app.axes_preparation import Job, Prepared
 from twostage_servo.axis.refusals import RefusalCode, Refused
-from twostage_servo.service.assembly import frames_of, put_axes_in
-from twostage_servo.service.axes_preparation import Job, Prepared
 from twostage_servo.service.turns import Rank
 from twostage_servo.worker_thread import WorkerThread
 
@@ -24,14 +24,14 @@ if TYPE_CHECKING:
     from twostage_servo.service.loop import ServoService
 
 LONGEST_S: Final = 60.0
-_COMMAND: Final = (sys.executable, "-P", "-c", "from twostage_servo.service.axes_preparation import main; main()")
+_COMMAND: Final = (sys.executable, "-P", "-c", "from twostage_servo.app.axes_preparation import main; main()")
 _LAST_WORDS: Final = 500
 
 
 class Reloading:
     """Reads a service's configuration again.
 
-    Another process reads it and designs the axes (:mod:`~twostage_servo.service.axes_preparation`). The loop takes them
+    Another process reads it and designs the axes (:mod:`~twostage_servo.app.axes_preparation`). The loop takes them
     over one in a turn, between ticks, and puts all of them in force at once.
 
     Parameters

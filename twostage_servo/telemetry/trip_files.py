@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import structlog
 
-from twostage_servo.service.snapshot import ready_for_json
+from twostage_servo.printable import ready_for_json
 from twostage_servo.worker_thread import WorkerThread
 
 Document = dict[str, Any]

@@ -7,14 +7,13 @@ import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings, Link
-from twostage_servo.cli.output import Progress, bar
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.drives.dbc.profile import DriveProfile
-from twostage_servo.service.assembly import build_service
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
 from twostage_servo.timing.ticks import Tick
@@ -58,6 +57,15 @@ class _Move(NamedTuple):
 class Demonstration:
     """One run: the real service and the real drive node, and the bookkeeping of the true plant.
 
+    Parameters
+    ----------
+    loaded
+        The configuration of the axis.
+    target, velocity
+        The move, in axis unit and axis unit/s.
+    progress
+        Called now and then, with the share of the way that lies behind the axis, and the newest sample.
+
     Attributes
     ----------
     service
@@ -70,7 +78,13 @@ class Demonstration:
         What the axis has refused, or None.
     """
 
-    def __init__(self, loaded: LoadedConfig[Config], target: float, velocity: float, progress: Progress) -> None:
+    def __init__(
+        self,
+        loaded: LoadedConfig[Config],
+        target: float,
+        velocity: float,
+        progress: Callable[[float, Sample], None] | None = None,
+    ) -> None:
         self.samples: list[Sample] = []
         self.failure: str | None = None
         self.refused: Refused | None = None
@@ -151,7 +165,7 @@ class Demonstration:
                 estimate.disturbance, self._station.command.effort, axis.speed_reference, axis.following_error,
             )
         )  # fmt: skip
-        if self._move is not None and tick.index % 5 == 0:
+        if tick.index % 5 == 0:
             self._show(self.samples[-1])
         if self._waiting is not None:
             condition, future, deadline_s = self._waiting
@@ -162,13 +176,11 @@ class Demonstration:
         self._hash.update(struct.pack("<q?IB", tick_index, direction == "sent", identifier, len(data)) + data)
 
     def _show(self, sample: Sample) -> None:
-        assert self._move is not None  # noqa: S101 - the caller has looked
+        if self._progress is None or self._move is None:
+            return
         length = self._move.target - self._move.start
         share = (sample.true_position - self._move.start) / length if length else 1.0
-        unit = self._config.axis.unit
-        self._progress.show(
-            f"{bar(share)} {sample.true_position:9.2f} {unit} {sample.true_velocity:8.1f} {unit}/s  {sample.state}"
-        )
+        self._progress(share, sample)
 
     def result(self) -> dict[str, Any]:
         """Return the contract's JSON object."""

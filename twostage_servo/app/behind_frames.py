@@ -3,10 +3,9 @@
 import asyncio
 from typing import Any
 
+from twostage_servo.app.configuration_files import shipped_configuration
+from twostage_servo.app.demonstration import Demonstration
 from twostage_servo.axis.state import MOVING, State
-from twostage_servo.cli.configuration import shipped_configuration
-from twostage_servo.cli.demonstration import Demonstration
-from twostage_servo.cli.output import Progress
 from twostage_servo.config.loader import load
 from twostage_servo.paper.examples import SET_POINT, VELOCITY, Example
 from twostage_servo.paper.experiment import Run, simulate
@@ -53,7 +52,6 @@ def _demonstrate(example: Example, *overrides: str) -> Demonstration:
         load(shipped_configuration(f"{example.name}.toml"), list(overrides)),
         SET_POINT,
         VELOCITY,
-        Progress(quiet=True),
     )
     with asyncio.Runner(loop_factory=VirtualClockLoop) as runner:
         runner.run(demonstration.run())

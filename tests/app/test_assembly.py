@@ -9,14 +9,9 @@ import can
 import pytest
 
 from tests.service.rig import BUS, World, simulate
-from tests.service.test_recorder import record
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
-from twostage_servo.axis.messages import Feedback
-from twostage_servo.canbus.link import BusSettings
-from twostage_servo.cli.configuration import shipped_configuration
-from twostage_servo.config.loader import ConfigError, load
-from twostage_servo.config.machine import Machine, load_machine
-from twostage_servo.service.assembly import (
+from tests.telemetry.test_recorder import record
+from twostage_servo.app.assembly import (
     build_service,
     compile_profile,
     cyclic_frames,
@@ -24,7 +19,12 @@ from twostage_servo.service.assembly import (
     frames_of,
     socket_path,
 )
-from twostage_servo.service.axes_preparation import Job, prepare
+from twostage_servo.app.axes_preparation import Job, prepare
+from twostage_servo.app.configuration_files import shipped_configuration
+from twostage_servo.axis.messages import Feedback
+from twostage_servo.canbus.link import BusSettings
+from twostage_servo.config.loader import ConfigError, load
+from twostage_servo.config.machine import Machine, load_machine
 from twostage_servo.service.settings import ServiceSettings, longest_end_s
 
 PAGES = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1), "z": axis_page("z", "can1")}
