@@ -170,8 +170,8 @@ def test_the_example_of_another_drive_compiles(tmp_path: Path) -> None:
     profile = DriveProfile.compile(settings, tmp_path, "mm")
     assert profile.encode_command(-1.5, enable=True, counter=0).hex() == "6aff0104"
     assert (profile.index_id, profile.heartbeat_id) == (None, None)
-    assert profile.sampling == "cyclic"
-    assert profile.position_period == pytest.approx(2**32 * 0.001)
+    assert profile.traits.sampling == "cyclic"
+    assert profile.traits.position_period == pytest.approx(2**32 * 0.001)
     status = Message(arbitration_id=257, is_extended_id=False, data=bytes.fromhex("18fcffff 05"))
     expected = Feedback(-1.0, None, True, False, None, positive_limit=True, negative_limit=False)
     assert profile.decode_feedback(status) == expected

@@ -16,8 +16,8 @@ from twostage_servo.app.assembly import (
     compile_profile,
     cyclic_frames,
     design,
-    frames_of,
     socket_path,
+    traits_of,
 )
 from twostage_servo.app.axes_preparation import Job, prepare
 from twostage_servo.app.configuration_files import shipped_configuration
@@ -83,10 +83,10 @@ def test_the_design_is_for_the_tick_that_is_asked_for() -> None:
 
 def test_the_effort_limit_may_be_all_that_the_command_signal_carries() -> None:
     profile = compile_profile(load(None))
-    loaded = load(None, [f"axis.limits.effort={profile.effort_limit}"])
+    loaded = load(None, [f"axis.limits.effort={profile.traits.effort_limit}"])
     build_service(loaded)
     with pytest.raises(ConfigError, match="carries at most"):
-        build_service(load(None, [f"axis.limits.effort={1.001 * profile.effort_limit}"]))
+        build_service(load(None, [f"axis.limits.effort={1.001 * profile.traits.effort_limit}"]))
 
 
 @pytest.mark.parametrize(("overrun", "taken"), [(15.0, True), (17.0, False)])
@@ -199,9 +199,9 @@ def test_how_long_the_end_may_take_is_the_braking_the_slowest_drive_and_what_com
 def test_what_only_a_restart_can_follow_is_refused_by_its_table(table: str, override: str) -> None:
     async def script(world: World) -> Callable[[], str | None]:
         running = Machine.of(load(None))
-        frames = frames_of(world.service)
+        traits = traits_of(world.service)
         path = shipped_configuration("demo.toml")
-        return lambda: prepare(Job(path, (override,), pickle.dumps(running), frames, 0.01)).problem
+        return lambda: prepare(Job(path, (override,), pickle.dumps(running), traits, 0.01)).problem
 
     problem = simulate(script)() or ""
     assert table in problem

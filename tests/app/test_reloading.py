@@ -17,7 +17,7 @@ from tests.service.test_reload import DEMO, change
 from twostage_servo.api.requests import ReloadRequest
 from twostage_servo.app import assembly
 from twostage_servo.app import reloading as module
-from twostage_servo.app.assembly import frames_of
+from twostage_servo.app.assembly import traits_of
 from twostage_servo.app.axes_preparation import Job, Prepared, prepare
 from twostage_servo.app.reloading import Reloading, by_a_process
 from twostage_servo.axis.axis import Axis
@@ -50,7 +50,7 @@ async def ask(path: Path, *lines: str) -> list[dict[str, Any]]:
 def test_a_process_of_its_own_does_the_same_as_this_one(file: Path) -> None:
     async def script(world: World) -> tuple[Prepared, Prepared]:
         job = Job(
-            file, ("axis.cruise_velocity=40.0",), pickle.dumps(Machine.of(load(file))), frames_of(world.service), 0.01
+            file, ("axis.cruise_velocity=40.0",), pickle.dumps(Machine.of(load(file))), traits_of(world.service), 0.01
         )
         return by_a_process(job), prepare(job)
 
@@ -66,7 +66,7 @@ def test_a_process_of_its_own_does_the_same_as_this_one(file: Path) -> None:
 
 def test_a_file_that_is_wrong_is_told_by_the_process(file: Path) -> None:
     async def script(world: World) -> Prepared:
-        job = Job(file, (), pickle.dumps(Machine.of(load(file))), frames_of(world.service), 0.01)
+        job = Job(file, (), pickle.dumps(Machine.of(load(file))), traits_of(world.service), 0.01)
         change(file, 'unit = "mm"', 'unit = "deg"')
         return by_a_process(job)
 
@@ -79,7 +79,7 @@ def test_a_process_that_fails_changes_nothing(file: Path) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         axis = world.axis
-        job = Job(file, (), b"no pickle", frames_of(world.service), 0.01)
+        job = Job(file, (), b"no pickle", traits_of(world.service), 0.01)
         world.service.desk.prepare = reloading(world, file, lambda _: by_a_process(job)).prepare
         with pytest.raises(Refused, match=r"could not be read again, and nothing has changed.* ended with code 1"):
             await world.service.desk.prepare_reload("somebody")

@@ -6,12 +6,14 @@ from typing import Any
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import Command, Feedback
+from twostage_servo.axis.messages import Command, DriveTraits, Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.control.plant import Plant
 
 PERIOD_S = 0.01
+
+TRAITS = DriveTraits(counter_modulus=16, position_quantum=0.001)
 
 DEMO: dict[str, Any] = {
     "name": "x",
@@ -64,7 +66,7 @@ def check_what_is_told(axis: Axis, tick_index: int) -> None:
 class AxisRig:
     """Drives an axis and its plant. `sees` changes what the axis is told of the true position."""
 
-    axis: Axis = field(default_factory=lambda: Axis(design_axis(axis_settings(), PERIOD_S), 16, resolution=0.001))
+    axis: Axis = field(default_factory=lambda: Axis(design_axis(axis_settings(), PERIOD_S), TRAITS))
     plant: Plant = field(default_factory=lambda: Plant(180.0, 14.0))
     load: float = 0.0
     position: float = 0.0

@@ -10,7 +10,7 @@ from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback
+from twostage_servo.axis.messages import NO_EFFORT, Command, DriveTraits, Feedback
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import Event, State, next_state
 from twostage_servo.axis.trips import Reaction, Trip, TripCode
@@ -20,7 +20,7 @@ DESIGN = design_axis(SETTINGS, PERIOD_S)
 
 
 def admission_at(position: float | None, **inputs: bool) -> Admission:
-    drive = DriveReport(SETTINGS, PERIOD_S, 16)
+    drive = DriveReport(SETTINGS, PERIOD_S, DriveTraits(counter_modulus=16))
     if position is not None:
         drive.begin_tick(0)
         drive.take(Feedback(position, 1, enabled=False, **inputs))
@@ -105,7 +105,7 @@ def test_a_place_is_set_at_rest_and_where_the_axis_would_not_trip(
 
 def test_a_place_is_not_set_on_an_axis_that_is_not_seen() -> None:
     assert code(lambda: admission_at(None).check_place(0.0, 0.0, 2.5)) == "no_feedback"
-    drive = DriveReport(SETTINGS, PERIOD_S, 16)
+    drive = DriveReport(SETTINGS, PERIOD_S, DriveTraits(counter_modulus=16))
     drive.begin_tick(0)
     drive.take(Feedback(0.0, 1, enabled=False))
     for _ in range(2):

@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import NO_EFFORT
@@ -36,7 +36,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @initialize(place=st.floats(-2400.0, 2400.0))
     def begin(self, place: float) -> None:
-        axis = Axis(DESIGN, 16, resolution=0.001)
+        axis = Axis(DESIGN, TRAITS)
         self.rig = AxisRig(axis, position=place, sample=place).seconds(0.05)
         self.looked_at = 0
         self.braking_ticks = 0

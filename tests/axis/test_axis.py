@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import DesignError, design_axis
-from twostage_servo.axis.messages import NO_EFFORT, Feedback
+from twostage_servo.axis.messages import NO_EFFORT, DriveTraits, Feedback
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import ENABLED, State
@@ -20,7 +20,7 @@ from twostage_servo.control.plant import Plant
 
 
 def rig_with(**limits: float) -> AxisRig:
-    return AxisRig(Axis(design_axis(axis_settings(None, None, **limits), PERIOD_S), 16, resolution=0.001))
+    return AxisRig(Axis(design_axis(axis_settings(None, None, **limits), PERIOD_S), TRAITS))
 
 
 def refusal(rig: AxisRig, request: str, *arguments: float) -> Refused:
@@ -519,7 +519,7 @@ def test_after_a_result_that_is_no_number_the_observer_starts_afresh() -> None:
 def test_a_drive_mounted_the_other_way_round() -> None:
     turned = axis_settings().model_dump()
     turned["plant"]["gain"] = -180.0
-    axis = Axis(design_axis(AxisSettings.model_validate(turned), PERIOD_S), 16)
+    axis = Axis(design_axis(AxisSettings.model_validate(turned), PERIOD_S), DriveTraits(counter_modulus=16))
     rig = AxisRig(axis, Plant(-180.0, 14.0)).cruising(for_s=8.0)
     assert rig.axis.trip is None
     assert rig.position == pytest.approx(400.0, abs=0.05)

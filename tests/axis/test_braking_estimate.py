@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.axis.rig import PERIOD_S, AxisRig
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.braking_estimate import BrakingEstimate
 from twostage_servo.axis.design import design_axis
@@ -19,7 +19,7 @@ EXAMPLE_2 = design_axis(load(Path("config/example2.toml")).config.axis, PERIOD_S
 
 
 def moving(ticks: int) -> AxisRig:
-    rig = AxisRig(Axis(EXAMPLE_2, 16, resolution=0.001), Plant(234.0, 9.8)).armed()
+    rig = AxisRig(Axis(EXAMPLE_2, TRAITS), Plant(234.0, 9.8)).armed()
     rig.axis.move_to(150.0, 100.0)
     rig.seconds(ticks * PERIOD_S)
     return rig

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import MODEL_ERROR, design_axis
 from twostage_servo.axis.disabled_drive import DisabledDriveWatch
@@ -193,7 +193,7 @@ def test_the_axis_takes_over_what_was_known_of_its_drive() -> None:
     for _ in range(40):
         rig.tick()
         rig.enabled = True
-    fresh = Axis(DESIGN, 16, resolution=0.001)
+    fresh = Axis(DESIGN, TRAITS)
     fresh.take_over(rig.axis)
     rig.axis = fresh
     for _ in range(20):

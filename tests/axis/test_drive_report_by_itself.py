@@ -7,7 +7,7 @@ import pytest
 
 from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback
 from twostage_servo.axis.trips import TripCode
 
 SETTINGS = axis_settings()
@@ -15,7 +15,9 @@ SETTINGS = axis_settings()
 
 
 def report(period: float = 0.0, *, heartbeat: bool = False) -> DriveReport:
-    return DriveReport(SETTINGS, PERIOD_S, 16, period, heartbeat=heartbeat)
+    return DriveReport(
+        SETTINGS, PERIOD_S, DriveTraits(counter_modulus=16, position_period=period, has_heartbeat=heartbeat)
+    )
 
 
 def seen(drive: DriveReport, position: float, counter: int | None = None, **signals: bool) -> bool:
@@ -273,7 +275,7 @@ def test_a_new_report_of_the_same_drive_knows_what_the_former_one_did() -> None:
 
 
 def test_a_report_begins_with_nothing_known() -> None:
-    drive = DriveReport(SETTINGS, PERIOD_S, 16)
+    drive = DriveReport(SETTINGS, PERIOD_S, DriveTraits(counter_modulus=16))
     known = (drive.position, drive.age_s, drive.enabled, drive.fault_code, drive.index)
     inputs = (drive.safe_torque_off, drive.positive_limit, drive.negative_limit, drive.home_switch)
     assert (*known, *inputs) == (None,) * 9
@@ -343,7 +345,7 @@ def test_ticks_without_sight_add_up_and_a_first_position_is_always_sure() -> Non
 
 
 def test_without_a_round_what_the_encoder_counts_is_the_position() -> None:
-    drive = DriveReport(SETTINGS, PERIOD_S, 16)
+    drive = DriveReport(SETTINGS, PERIOD_S, DriveTraits(counter_modulus=16))
     for position in (0.0, 0.9, 7.4):
         seen(drive, position)
         assert drive.position == position

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import DesignError, design_axis
 from twostage_servo.axis.duration import MoveDuration
@@ -46,7 +46,7 @@ def transcribed_duration_s(distance: float, velocity: float) -> float:
 @pytest.mark.parametrize("distance", [0.06, 5.0, 40.0, 60.0, 100.0, 400.0])
 def test_it_is_when_the_window_is_entered_for_good(distance: float, velocity: float) -> None:
     """With and without a cruise, on a plant that is the model; to two ticks."""
-    rig = AxisRig(Axis(DESIGN, 16, resolution=0.001)).armed()
+    rig = AxisRig(Axis(DESIGN, TRAITS)).armed()
     rig.axis.move_to(distance, velocity)
     begun = outside = rig.tick_index
     while rig.state() is not State.HOLDING:

@@ -4,6 +4,7 @@ import itertools
 import math
 import tomllib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from random import Random
 
@@ -11,12 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.feedback import FeedbackMonitor
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
@@ -29,7 +30,8 @@ COUNTER = 65.536
 
 
 def rig_of(design: AxisDesign = DESIGN, period: float = 0.0, **keywords: float) -> AxisRig:
-    return AxisRig(Axis(design, 16, position_period=period, resolution=0.001), **keywords)  # type: ignore[arg-type]
+    axis = Axis(design, replace(TRAITS, position_period=period))
+    return AxisRig(axis, **keywords)  # type: ignore[arg-type]
 
 
 def counting(period: float) -> Callable[[float], float]:
@@ -126,7 +128,7 @@ class CyclicDrive(AxisRig):
 
 
 def cyclic(ages: list[float]) -> CyclicDrive:
-    rig = CyclicDrive(Axis(DESIGN, 16, resolution=0.001))
+    rig = CyclicDrive(Axis(DESIGN, TRAITS))
     rig.ages = itertools.cycle(ages)
     return rig
 
@@ -208,7 +210,7 @@ def test_a_rejected_frame_is_one_error() -> None:
 
 
 def test_a_fault_is_heard_from_a_drive_that_has_lost_its_encoder() -> None:
-    report = DriveReport(axis_settings(), PERIOD_S, 16)
+    report = DriveReport(axis_settings(), PERIOD_S, DriveTraits(counter_modulus=16))
     report.begin_tick(0)
     report.take(Feedback(0.0, 1, enabled=True))
     report.begin_tick(0)
@@ -288,7 +290,7 @@ def test_the_quick_example_sets_out_after_a_rest(velocity: float) -> None:
 
 @pytest.mark.parametrize("step", [0.05, 0.1])
 def test_a_coarse_encoder_sets_out_after_a_rest(step: float) -> None:
-    rig = AxisRig(Axis(DESIGN, 16, resolution=step))
+    rig = AxisRig(Axis(DESIGN, DriveTraits(counter_modulus=16, position_quantum=step)))
     rig.sees = lambda position: round(position / step) * step
     rig.armed().seconds(1.0)
     rig.axis.move_to(400.0, 100.0)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.axis.rig import DEMO, PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import DEMO, PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import DesignError, design_axis
 from twostage_servo.axis.detection import (
@@ -18,6 +18,7 @@ from twostage_servo.axis.detection import (
     detections,
     slowest_certain_velocity,
 )
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
@@ -31,7 +32,7 @@ IN_DOUBT = {code for code in TripCode if RULES[code].unreferenced}
 def rig_of(innovation: float = 0.5, pole: float = 14.0) -> AxisRig:
     settings = axis_settings(innovation=innovation)
     settings = settings.model_copy(update={"plant": settings.plant.model_copy(update={"pole": pole})})
-    axis = Axis(design_axis(settings, PERIOD_S), 16, resolution=0.001)
+    axis = Axis(design_axis(settings, PERIOD_S), TRAITS)
     return AxisRig(axis, Plant(180.0, pole))
 
 
@@ -115,7 +116,7 @@ def test_a_jog_is_watched_as_a_move_is(counts: float) -> None:
 )
 def test_a_search_is_watched_as_well(method: str, counts: float) -> None:
     settings = axis_settings(homing={"method": method, "direction": "positive", "slow_velocity": 40.0}, innovation=5.0)
-    rig = AxisRig(Axis(design_axis(settings, PERIOD_S), 16, resolution=0.001)).armed()
+    rig = AxisRig(Axis(design_axis(settings, PERIOD_S), TRAITS)).armed()
     bring_into(rig, "homing", 40.0)
     assert rig.state() is State.HOMING
     at = rig.position
@@ -207,7 +208,7 @@ def test_what_is_computed_is_what_an_axis_does() -> None:
     design = design_axis(axis_settings(innovation=5.0), PERIOD_S)
     for one in detections(design):
         if one.phase == "cruising":
-            rig = AxisRig(Axis(design, 16)).armed()
+            rig = AxisRig(Axis(design, DriveTraits(counter_modulus=16))).armed()
             rig.axis.move_to(1000.0, one.velocity)
             rig.seconds(2.0)
             at = rig.position
@@ -226,7 +227,7 @@ def test_what_is_computed_for_a_stop_is_what_an_axis_does(change_of: str, veloci
     (one,) = [
         one for one in detections(design) if (one.change, one.phase, one.velocity) == (change_of, "stopping", velocity)
     ]
-    rig = AxisRig(Axis(design, 16)).armed()
+    rig = AxisRig(Axis(design, DriveTraits(counter_modulus=16))).armed()
     bring_into(rig, "stopping", velocity)
     at, farthest = rig.position, 0.0
     change(rig, CHANGES[change_of])

@@ -8,7 +8,7 @@ from tests.axis.rig import PERIOD_S, AxisRig, axis_settings, check_what_is_told
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_states import interpret
-from twostage_servo.axis.messages import Command, Feedback
+from twostage_servo.axis.messages import Command, DriveTraits, Feedback
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 
@@ -18,7 +18,7 @@ ENABLED = interpret("Operation enabled")
 
 def axis_of(*, tells_enabled: bool = True, resolution: float = 0.001, innovation: float = 0.5) -> Axis:
     design = design_axis(axis_settings(innovation=innovation), PERIOD_S)
-    return Axis(design, 16, resolution=resolution, tells_enabled=tells_enabled)
+    return Axis(design, DriveTraits(counter_modulus=16, position_quantum=resolution, tells_enabled=tells_enabled))
 
 
 class Silent(AxisRig):

@@ -3,17 +3,18 @@
 import itertools
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -26,7 +27,7 @@ def rig_with(
     homing: dict[str, Any] | None = None, approach: dict[str, Any] | None = None, period: float = 0.0, **limits: float
 ) -> AxisRig:
     design = design_axis(axis_settings(homing, approach, **limits), PERIOD_S)
-    return AxisRig(Axis(design, 16, position_period=period, resolution=0.001))
+    return AxisRig(Axis(design, replace(TRAITS, position_period=period)))
 
 
 def until(
@@ -353,7 +354,7 @@ def test_a_stop_in_the_detour_ends_the_move() -> None:
 )
 def test_a_counter_that_rolls_over_is_followed(steps: list[float], period: float) -> None:
     """Whatever the axis does between two samples, as long as it is less than half a round."""
-    report = DriveReport(axis_settings(), PERIOD_S, 16, position_period=period)
+    report = DriveReport(axis_settings(), PERIOD_S, DriveTraits(counter_modulus=16, position_period=period))
     true = 0.0
     for number, step in enumerate(steps):
         true += step * period
@@ -431,7 +432,7 @@ def test_after_missed_ticks_a_sample_without_a_date_is_not_used() -> None:
 
 
 def test_an_answer_is_not_replaced_by_what_the_drive_reports_unasked() -> None:
-    report = DriveReport(axis_settings(), PERIOD_S, 16)
+    report = DriveReport(axis_settings(), PERIOD_S, DriveTraits(counter_modulus=16))
     report.begin_tick(0)
     report.take(Feedback(1.0, 1, age_s=0.01))
     report.take(Feedback(2.0, 2, enabled=False, age_s=0.01, unasked=True))

@@ -1,12 +1,15 @@
 """An axis that was not seen for a while: what it still knows of its place, and that it never runs away from there."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 
@@ -20,7 +23,7 @@ TURN = 5.0
 
 
 def rolling(period: float) -> AxisRig:
-    rig = AxisRig(Axis(DESIGN, 16, position_period=period, resolution=0.001))
+    rig = AxisRig(Axis(DESIGN, replace(TRAITS, position_period=period)))
     rig.sees = lambda position: (position + period / 2.0) % period - period / 2.0
     return rig
 
@@ -115,7 +118,10 @@ def test_frames_lost_behind_the_first_one_do_not_make_it_look_quicker(surprise: 
     """Two samples say how fast the axis is, and they may be some ticks apart: a speed ten times too large would lead
     the estimate into the next round of the counter within two ticks.
     """
-    axis = Axis(design_axis(axis_settings(stale_feedback_ms=100.0), PERIOD_S), 16, position_period=NARROW)
+    axis = Axis(
+        design_axis(axis_settings(stale_feedback_ms=100.0), PERIOD_S),
+        DriveTraits(counter_modulus=16, position_period=NARROW),
+    )
     rig = AxisRig(axis)
     rig.sees = rolling(NARROW).sees
 

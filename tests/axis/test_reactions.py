@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import NO_EFFORT
+from twostage_servo.axis.messages import NO_EFFORT, DriveTraits
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.axis.trips import RULES, Reaction, TripCode
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def rig_with(**limits: float) -> AxisRig:
-    return AxisRig(Axis(design_axis(axis_settings(None, None, **limits), PERIOD_S), 16, resolution=0.001))
+    return AxisRig(Axis(design_axis(axis_settings(None, None, **limits), PERIOD_S), TRAITS))
 
 
 def tripped(rig: AxisRig, code: TripCode, within_s: float = 1.0) -> AxisRig:
@@ -183,7 +183,12 @@ def test_safe_torque_off_disables_and_the_position_is_still_tracked() -> None:
 
 
 def with_heartbeat() -> AxisRig:
-    return AxisRig(Axis(design_axis(axis_settings(), PERIOD_S), 16, resolution=0.001, heartbeat=True))
+    return AxisRig(
+        Axis(
+            design_axis(axis_settings(), PERIOD_S),
+            DriveTraits(counter_modulus=16, position_quantum=0.001, has_heartbeat=True),
+        )
+    )
 
 
 def test_a_silent_heartbeat_disables() -> None:

@@ -1,14 +1,16 @@
 """On what the positions of an axis rest, and what takes that away: an encoder that does not count on."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.reference import NEVER_HOMED, ReferenceSource
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, State
@@ -31,7 +33,7 @@ def homed(
 ) -> AxisRig:
     """Return a disarmed axis that stands at a place which the operator has told, where the encoder counts the same."""
     settings = axis_settings({"required": required} | (homing or {}))
-    axis = Axis(design_axis(settings, PERIOD_S), 16, period, resolution=0.001)
+    axis = Axis(design_axis(settings, PERIOD_S), replace(TRAITS, position_period=period))
     rig = AxisRig(axis, position=place, sample=place)
     rig.seconds(0.1)
     if boots is not None:
@@ -70,7 +72,7 @@ def test_without_homing_positions_are_the_encoders_own_until_somebody_says_other
 
 
 def test_where_homing_is_required_there_is_no_position_before_it() -> None:
-    axis = Axis(design_axis(axis_settings({"required": True}), PERIOD_S), 16)
+    axis = Axis(design_axis(axis_settings({"required": True}), PERIOD_S), DriveTraits(counter_modulus=16))
     assert (axis.referenced, axis.reference.source, axis.reference.lost_because) == (False, None, NEVER_HOMED)
 
 
@@ -246,7 +248,7 @@ def test_after_a_jump_the_place_can_be_told() -> None:
 
 def test_a_spike_at_the_edge_of_the_switch_is_not_taken_for_its_place() -> None:
     homing = {"method": "switch", "direction": "positive", "velocity": 40.0, "slow_velocity": 10.0, "travel": 400.0}
-    rig = AxisRig(Axis(design_axis(axis_settings(homing), PERIOD_S), 16, resolution=0.001)).seconds(0.1)
+    rig = AxisRig(Axis(design_axis(axis_settings(homing), PERIOD_S), TRAITS)).seconds(0.1)
     rig.inputs["home_switch"] = False
     rig.armed().axis.home()
     was_active = spiked = False
@@ -353,7 +355,7 @@ def test_a_counter_that_wraps_and_counts_anew(period: float, silent_ticks: int, 
 
 
 def other_settings(rig: AxisRig, change: Callable[[Axis], None] = lambda _: None) -> AxisRig:
-    axis = Axis(design_axis(axis_settings({"required": True}, effort=23.0), PERIOD_S), 16, resolution=0.001)
+    axis = Axis(design_axis(axis_settings({"required": True}, effort=23.0), PERIOD_S), TRAITS)
     axis.take_over(rig.axis)
     change(axis)
     rig.axis = axis
@@ -397,15 +399,15 @@ def test_a_place_that_was_found_by_other_rules_does_not_count_after_a_reload(
     """Its number was that of the former settings: "homed" at 1 mm, where the file says 3 by now."""
     wants = {"required": required}
     rig = homed(homing=before | wants)
-    axis = Axis(design_axis(axis_settings(change | wants), PERIOD_S), 16, resolution=0.001)
+    axis = Axis(design_axis(axis_settings(change | wants), PERIOD_S), TRAITS)
     axis.take_over(rig.axis)
     assert axis.reference.lost_because == ("[axis.homing] has changed" if is_lost else "")
     assert axis.referenced is not is_lost
 
 
 def test_an_axis_that_nobody_has_homed_loses_nothing_by_another_homing() -> None:
-    rig = AxisRig(Axis(design_axis(axis_settings(), PERIOD_S), 16, resolution=0.001))
-    axis = Axis(design_axis(axis_settings({"position": 3.0}), PERIOD_S), 16, resolution=0.001)
+    rig = AxisRig(Axis(design_axis(axis_settings(), PERIOD_S), TRAITS))
+    axis = Axis(design_axis(axis_settings({"position": 3.0}), PERIOD_S), TRAITS)
     axis.take_over(rig.axis)
     assert axis.reference.source is ReferenceSource.ENCODER
 
@@ -414,7 +416,9 @@ def test_an_axis_that_nobody_has_homed_loses_nothing_by_another_homing() -> None
 def test_a_restart_within_a_search_finds_nothing(silent_ticks: int) -> None:
     homing = {"required": True, "method": "index", "direction": "positive", "slow_velocity": 20.0}
     rig = AxisRig(
-        Axis(design_axis(axis_settings(homing), PERIOD_S), 16, resolution=0.001), position=200.0, sample=200.0
+        Axis(design_axis(axis_settings(homing), PERIOD_S), TRAITS),
+        position=200.0,
+        sample=200.0,
     )
     rig.armed()
     rig.axis.home()

@@ -9,6 +9,7 @@ from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from tests.axis.test_modes import refused, rig_with, until
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.moves import Move
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -206,7 +207,9 @@ def test_at_the_set_point_itself_a_move_comes_from_the_right_side_too() -> None:
 
 
 def test_a_drive_that_has_a_heartbeat_is_not_armed_before_one() -> None:
-    rig = AxisRig(Axis(design_axis(axis_settings(), PERIOD_S), 16, heartbeat=True)).seconds(0.05)
+    rig = AxisRig(
+        Axis(design_axis(axis_settings(), PERIOD_S), DriveTraits(counter_modulus=16, has_heartbeat=True))
+    ).seconds(0.05)
     assert refused(rig.axis.arm) == "heartbeat_lost"
     rig.axis.take_heartbeat(1)
     rig.armed()
@@ -215,7 +218,9 @@ def test_a_drive_that_has_a_heartbeat_is_not_armed_before_one() -> None:
 @pytest.mark.parametrize(("resolution", "another"), [(0.3, False), (0.0, True)])
 def test_less_than_one_and_a_half_steps_of_the_encoder_is_no_other_position(resolution: float, another: bool) -> None:
     """0.4 mm where a step is 0.3 mm; up to 0.5 mm is believed."""
-    rig = AxisRig(Axis(design_axis(axis_settings(), PERIOD_S), 16, resolution=resolution)).armed()
+    rig = AxisRig(
+        Axis(design_axis(axis_settings(), PERIOD_S), DriveTraits(counter_modulus=16, position_quantum=resolution))
+    ).armed()
     rig.axis.move_to(100.0, 100.0)
     rig.sees = lambda _: 0.0
     for _ in range(3):

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.state import State
@@ -44,7 +44,7 @@ def test_a_gap_on_a_plant_that_is_off_its_model_is_no_jump_of_the_encoder(
 ) -> None:
     """Gain 30 % up, pole 30 % down, an acceleration without limit: in 50 ms the model is wrong by 3 mm."""
     for tick in range(0, 300, 3):
-        rig = rig_class(Axis(EXAMPLE_2, 16, resolution=0.001), Plant(234.0, 9.8)).armed()
+        rig = rig_class(Axis(EXAMPLE_2, TRAITS), Plant(234.0, 9.8)).armed()
         rig.axis.move_to(200.0, 100.0)
         rig.seconds(tick * PERIOD_S)
         rig.tick(missed)
@@ -55,7 +55,7 @@ def test_a_gap_on_a_plant_that_is_off_its_model_is_no_jump_of_the_encoder(
 @pytest.mark.parametrize("rig_class", [AxisRig, DatedRig])
 def test_a_jump_in_a_gap_is_still_one(rig_class: type[AxisRig]) -> None:
     for tick in (10, 30, 100):
-        rig = rig_class(Axis(EXAMPLE_2, 16, resolution=0.001), Plant(234.0, 9.8)).armed()
+        rig = rig_class(Axis(EXAMPLE_2, TRAITS), Plant(234.0, 9.8)).armed()
         rig.axis.move_to(200.0, 100.0)
         rig.seconds(tick * PERIOD_S)
         rig.sees = lambda position: position + 12.0
@@ -66,7 +66,7 @@ def test_a_jump_in_a_gap_is_still_one(rig_class: type[AxisRig]) -> None:
 
 
 def test_a_host_that_misses_every_other_tick_does_not_widen_the_gate_for_ever() -> None:
-    rig = DatedRig(Axis(DEMO, 16, resolution=0.001)).cruising(velocity=100.0, for_s=1.0)
+    rig = DatedRig(Axis(DEMO, TRAITS)).cruising(velocity=100.0, for_s=1.0)
     usual = rig.axis.motion.innovation_limit
     widest = 0.0
     for _ in range(50):
@@ -104,7 +104,7 @@ def test_a_plant_turned_round_has_the_same_allowance() -> None:
 
 
 def test_an_encoder_that_stands_still_does_not_look_alive_by_the_dates_of_its_samples() -> None:
-    drive = DriveReport(axis_settings(), PERIOD_S, 16)
+    drive = DriveReport(axis_settings(), PERIOD_S, DriveTraits(counter_modulus=16))
     motion = Motion(DEMO, drive, 0.001)
 
     def report(age_s: float, counter: int) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.refusals import Refused
@@ -21,7 +21,7 @@ DESIGN = design_axis(axis_settings(), PERIOD_S)
 
 
 def rig_with(**limits: float) -> AxisRig:
-    return AxisRig(Axis(design_axis(axis_settings(None, None, **limits), PERIOD_S), 16, resolution=0.001))
+    return AxisRig(Axis(design_axis(axis_settings(None, None, **limits), PERIOD_S), TRAITS))
 
 
 @dataclass
@@ -38,7 +38,7 @@ class Stop:
 
 
 def stop_from(velocity: float, *, quick: bool, load: float = 0.0, blind: bool = False) -> Stop:
-    rig = AxisRig(Axis(DESIGN, 16, resolution=0.001)).armed()
+    rig = AxisRig(Axis(DESIGN, TRAITS)).armed()
     rig.load = load
     rig.seconds(1.5)
     rig.axis.move_to(2400.0 if velocity > 0.0 else -2400.0, abs(velocity))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, design_axis
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.config.loader import load
@@ -43,7 +43,7 @@ class Rig:
         model = design.settings.plant
         self._plant = Plant(gain * model.gain, pole * model.pole).discretise(design.period_s / STEPS)
         self._resolution = 1e-6 * design.settings.limits.velocity
-        self.axis = Axis(design, 16, resolution=self._resolution)
+        self.axis = Axis(design, DriveTraits(counter_modulus=16, position_quantum=self._resolution))
         self._period_s, self._load = design.period_s, load
         self._answers = [0.0] * delay
         self._tick, self._sample, self._enabled = 0, 0.0, False

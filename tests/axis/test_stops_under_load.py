@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import Command, Feedback
@@ -57,7 +57,11 @@ def stopped(seed: int, *, dated: bool, missing: float) -> LoadedRig | None:
     """Return a rig that has just come to rest from a jog; None if the host has made it trip before."""
     settings = axis_settings(missed_ticks=40, stale_feedback_ms=400.0)
     chance = random.Random(seed)  # noqa: S311 - not for secrets
-    rig = LoadedRig(Axis(design_axis(settings, PERIOD_S), 16, resolution=0.001), chance=chance, dated=dated)
+    rig = LoadedRig(
+        Axis(design_axis(settings, PERIOD_S), TRAITS),
+        chance=chance,
+        dated=dated,
+    )
     rig.armed()
     rig.missing = missing
     for _ in range(60):

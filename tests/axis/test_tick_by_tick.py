@@ -7,14 +7,17 @@ from tests.axis.test_modes import rig_with, until
 from tests.axis.test_requests import decelerations
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback
+from twostage_servo.axis.messages import NO_EFFORT, Command, DriveTraits, Feedback
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import RULES, Reaction, Trip, TripCode
 from twostage_servo.control.laws.paper import Stage
 
 
 def axis_with(*, required: bool = False, position: float = 0.0) -> Axis:
-    return Axis(design_axis(axis_settings({"required": required, "position": position}), PERIOD_S), 16)
+    return Axis(
+        design_axis(axis_settings({"required": required, "position": position}), PERIOD_S),
+        DriveTraits(counter_modulus=16),
+    )
 
 
 def tripped(rig: AxisRig) -> TripCode | None:
@@ -265,7 +268,7 @@ def test_after_other_settings_a_reference_is_known_that_was_found_by_the_same_ru
 
 
 def test_a_round_that_is_not_sure_loses_the_reference_for_good() -> None:
-    axis = Axis(design_axis(axis_settings(), PERIOD_S), 16, position_period=1000.0)
+    axis = Axis(design_axis(axis_settings(), PERIOD_S), DriveTraits(counter_modulus=16, position_period=1000.0))
     axis.begin_tick(1, 0)
     axis.take_feedback(Feedback(0.0))
     assert [axis.referenced] == [True]

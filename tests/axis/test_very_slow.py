@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from tests.axis.rig import DEMO, PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.exact import exact
@@ -57,7 +58,7 @@ def test_what_is_no_motion_is_refused_with_the_smallest_speed_that_is_one() -> N
     rig.axis.stop()
     rig.seconds(3.0)
     assert (rig.state(), rig.axis.trip) == (State.HOLDING, None)
-    without_steps = Axis(DESIGN, 16)
+    without_steps = Axis(DESIGN, DriveTraits(counter_modulus=16))
     assert 0.0 < without_steps.slowest_velocity < 1e-9
 
 

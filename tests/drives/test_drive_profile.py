@@ -119,12 +119,20 @@ def test_shipped_profile_has_the_figures_of_the_documented_protocol() -> None:
     assert SHIPPED.index_id == Identifier(0x281, extended=False)
     assert SHIPPED.controller_identifiers == (SHIPPED.feedback_id, SHIPPED.index_id, SHIPPED.heartbeat_id)
     assert SHIPPED.drive_identifiers == (SHIPPED.command_id,)
-    assert (SHIPPED.effort_quantum, SHIPPED.effort_limit, SHIPPED.position_quantum) == (0.001, 32.0, 0.001)
-    assert (SHIPPED.counter_modulus, SHIPPED.command_counter_modulus, SHIPPED.index_counter_modulus) == (16, 16, 16)
-    assert (SHIPPED.boot_counter_modulus, SHIPPED.sampling) == (256, "on_command")
-    assert SHIPPED.position_period == pytest.approx(4294967.296, rel=1e-15)
-    assert SHIPPED.fault_texts[1] == "Command timeout"
-    assert SHIPPED.state_texts[3] == "Operation enabled"
+    assert (SHIPPED.traits.effort_quantum, SHIPPED.traits.effort_limit, SHIPPED.traits.position_quantum) == (
+        0.001,
+        32.0,
+        0.001,
+    )
+    assert (SHIPPED.traits.counter_modulus, SHIPPED.command_counter_modulus, SHIPPED.index_counter_modulus) == (
+        16,
+        16,
+        16,
+    )
+    assert (SHIPPED.boot_counter_modulus, SHIPPED.traits.sampling) == (256, "on_command")
+    assert SHIPPED.traits.position_period == pytest.approx(4294967.296, rel=1e-15)
+    assert SHIPPED.traits.fault_texts[1] == "Command timeout"
+    assert SHIPPED.traits.state_texts[3] == "Operation enabled"
 
 
 def test_command_has_the_golden_bytes() -> None:
@@ -351,8 +359,12 @@ def test_another_drive_is_described_by_its_dbc_and_the_settings(folder: Path) ->
     assert profile.command_id == Identifier(0x18FF0001, extended=True)
     assert profile.heartbeat_id is None
     assert profile.controller_identifiers == (profile.feedback_id,)
-    assert (profile.counter_modulus, profile.command_counter_modulus) == (14, 1)
-    assert (profile.effort_quantum, profile.effort_limit, profile.position_quantum) == (0.0, 50.0, 0.005)
+    assert (profile.traits.counter_modulus, profile.command_counter_modulus) == (14, 1)
+    assert (profile.traits.effort_quantum, profile.traits.effort_limit, profile.traits.position_quantum) == (
+        0.0,
+        50.0,
+        0.005,
+    )
 
     data = profile.encode_command(12.25, enable=True, counter=99)
     # 12.25 is 0x41440000; Mode 4; On = 01 in the two highest bits of byte 6.
@@ -436,7 +448,7 @@ def test_wrong_unit_is_refused_unless_a_scale_says_how_to_convert() -> None:
         DriveProfile.compile(ProtocolSettings(), Path(), "rad")
     assert caught.value.key == ("axis", "unit")
     settings = shipped_settings(feedback={"position_scale": 0.001})
-    assert DriveProfile.compile(settings, Path(), "m").position_quantum == pytest.approx(1e-6)
+    assert DriveProfile.compile(settings, Path(), "m").traits.position_quantum == pytest.approx(1e-6)
 
 
 @pytest.mark.parametrize(

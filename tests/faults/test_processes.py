@@ -381,9 +381,9 @@ def test_the_listener_measures_from_where_the_axis_was_at_the_fault(listener: Li
 
 def test_the_listener_rolls_positions_out_and_ignores_what_it_cannot_read(listener: Listener) -> None:
     profile = compile_profile(load(None))
-    period = profile.position_period
+    period = profile.traits.position_period
     assert period > 0.0
-    end = 0.5 * period - profile.position_quantum
+    end = 0.5 * period - profile.traits.position_quantum
     with can.Bus(interface="virtual", channel="hosted") as drive:
         for counter, position in enumerate((end - 1.0, end, end + 1.0 - period, end)):
             data = profile.encode_feedback(Feedback(position, counter, True, False, 0))

@@ -128,7 +128,7 @@ def test_after_a_reload_the_end_waits_for_what_the_axes_take_by_then(stated: boo
         service = world.service
         before = service.settings.shutdown_timeout_ms
         slow = load(None, ["axis.limits.acceleration=20"])
-        put_axes_in(service, [build_axis(slow, world.station.profile, service.ticks.period_s)])
+        put_axes_in(service, [build_axis(slow, world.station.profile.traits, service.ticks.period_s)])
         assert (service.settings.shutdown_timeout_ms > 10.0 * before) is not stated
         assert service.settings.shutdown_timeout_ms == (before if stated else 2.0 * stop_ms(world.axis.design))
 

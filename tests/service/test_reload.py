@@ -1,6 +1,7 @@
 """Reading the configuration again: while disarmed only, whole or not at all."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -176,7 +177,8 @@ def test_a_dbc_file_that_has_changed_since_the_start_is_told_and_not_passed_over
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         axis, reload = world.axis, reloading(world, file)
-        world.station.profile.dbc_digest = "of another content"
+        profile = world.station.profile
+        profile.traits = replace(profile.traits, digest="of another content")
         with pytest.raises(ConfigError, match="the content of the DBC file has changed: only a restart") as error:
             reload()
         assert error.value.problems[0].key == "protocol.dbc"
@@ -190,9 +192,9 @@ def test_the_content_of_a_dbc_file_is_known_by_its_digest(tmp_path: Path) -> Non
     shipped = shipped_configuration("servo_drive.dbc").read_bytes()
     dbc.write_bytes(shipped)
     profile = DriveProfile.compile(ProtocolSettings(dbc="my.dbc"), tmp_path, "mm")
-    assert profile.dbc_digest == dbc_digest("my.dbc", tmp_path) == dbc_digest("", tmp_path)
+    assert profile.traits.digest == dbc_digest("my.dbc", tmp_path) == dbc_digest("", tmp_path)
     dbc.write_bytes(shipped.replace(b"(0.001,0)", b"(0.01,0)", 1))
-    assert profile.dbc_digest != dbc_digest("my.dbc", tmp_path)
+    assert profile.traits.digest != dbc_digest("my.dbc", tmp_path)
     with pytest.raises(ProtocolError, match="there is no such file"):
         dbc_digest("gone.dbc", tmp_path)
 

@@ -23,7 +23,7 @@ def test_it_boots_disabled_and_says_so(profile: DriveProfile) -> None:
     assert feedback == Feedback(12.5, 1, *[False] * 3, *[False] * 5)
     assert isinstance(heartbeat, Heartbeat)
     assert heartbeat.boot_counter == 7
-    assert profile.state_texts[heartbeat.state or 0] == "Ready to switch on"
+    assert profile.traits.state_texts[heartbeat.state or 0] == "Ready to switch on"
     assert not bench.drive.enabled
     assert bench.drive.effort == 0.0
 
@@ -45,7 +45,7 @@ def test_an_enabled_drive_says_so_in_its_heartbeat(profile: DriveProfile) -> Non
     bench = Bench(profile)
     bench.enable()
     heartbeat = next(frame for frame in bench.cycle(0.0) if isinstance(frame, Heartbeat))
-    assert profile.state_texts[heartbeat.state or 0] == "Operation enabled"
+    assert profile.traits.state_texts[heartbeat.state or 0] == "Operation enabled"
 
 
 def test_effort_acts_from_the_exact_time_of_arrival(profile: DriveProfile) -> None:
@@ -135,7 +135,7 @@ def test_when_commands_cease_it_stops_by_itself_at_the_exact_time(profile: Drive
     assert (bench.drive.enabled, bench.drive.effort) == (True, 2.0)
     (feedback,) = bench.feedback(0.1)
     assert feedback[2:6] == (False, True, COMMAND_TIMEOUT_FAULT, True)
-    assert profile.fault_texts[COMMAND_TIMEOUT_FAULT] == "Command timeout"
+    assert profile.traits.fault_texts[COMMAND_TIMEOUT_FAULT] == "Command timeout"
     expected = motion((0.0204, 1.0), (0.05, 2.0), (0.0296, 0.0))
     assert feedback.position == pytest.approx(expected[0], abs=0.0005)
     assert [bench.drive.position, bench.drive.velocity] == pytest.approx(expected)
@@ -145,7 +145,7 @@ def test_a_fault_shows_in_the_heartbeat(profile: DriveProfile) -> None:
     bench = Bench(profile)
     bench.enable()
     heartbeat = next(frame for frame in bench.cycle(0.1) if isinstance(frame, Heartbeat))
-    assert profile.state_texts[heartbeat.state or 0] == "Fault"
+    assert profile.traits.state_texts[heartbeat.state or 0] == "Fault"
 
 
 def test_a_controller_that_stalls_and_resumes_does_not_enable_it(profile: DriveProfile) -> None:

@@ -36,7 +36,7 @@ def states_told(bench: Bench, at_s: float) -> tuple[Feedback, str]:
     frames = bench.cycle(at_s)
     (feedback,) = [frame for frame in frames if isinstance(frame, Feedback)]
     (heartbeat,) = [frame for frame in frames if isinstance(frame, Heartbeat)]
-    return feedback, bench.profile.state_texts[heartbeat.state or 0]
+    return feedback, bench.profile.traits.state_texts[heartbeat.state or 0]
 
 
 # In general -----------------------------------------------------------------------------------------------------------
@@ -401,7 +401,7 @@ def test_the_encoder_reports_what_the_fault_makes_of_the_position(
     bench = Bench(profile, initial_position=12.5, quantum=0.01, feedback="cyclic")
     bench.change(0.0, measure=measure)
     (feedback,) = bench.feedback(0.0)
-    period = profile.position_period
+    period = profile.traits.position_period
     assert feedback.position == pytest.approx(math.remainder(expected, period), abs=1e-6)
     assert bench.drive.position == 12.5
     bench.change(0.01, measure=None)

@@ -175,7 +175,7 @@ def test_the_measured_position_rolls_over_and_the_differences_do_not(
     if bits == 16:
         profile = narrow_profile(tmp_path)
     period = 2**bits * 0.001
-    assert profile.position_period == pytest.approx(period)
+    assert profile.traits.position_period == pytest.approx(period)
     start = math.copysign(period / 2 - 1.0, effort)
     bench = Bench(profile, initial_position=start, feedback="cyclic", command_timeout_ms=10_000.0)
     bench.enable(effort=effort)

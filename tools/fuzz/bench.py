@@ -230,7 +230,7 @@ class Bench:
         config = drive.loaded.config
         self.plant = Plant(config.axis.plant.gain, config.axis.plant.pole).discretise(self.period_s)
         self.scale = -1.0 if config.protocol.feedback.position_scale < 0.0 else 1.0
-        self.limit = min(config.axis.limits.effort, station.profile.effort_limit) + 1e-9
+        self.limit = min(config.axis.limits.effort, station.profile.traits.effort_limit) + 1e-9
         self.command_number = station.profile.command_id.identifier
         self.listened = {identifier.identifier for identifier in station.profile.controller_identifiers}
         self.listened.add(self.command_number)
@@ -321,7 +321,7 @@ class Bench:
             enable = command.enable is not False and self.station.command.enable
             if (
                 not math.isfinite(command.effort)
-                or abs(command.effort) > self.limit + self.station.profile.effort_quantum
+                or abs(command.effort) > self.limit + self.station.profile.traits.effort_quantum
             ):
                 raise Failed(f"the command on the bus has effort {command.effort}, the limit is {self.limit}")
             self._enabled = enable

@@ -46,8 +46,8 @@ class AxisSoak:
         loaded = self.configuration.load()
         profile = compile_profile(loaded)
         self.tick_s = self.configuration.tick_s
-        self.axis: Axis = build_axis(loaded, profile, self.tick_s)
-        quantum = profile.position_quantum
+        self.axis: Axis = build_axis(loaded, profile.traits, self.tick_s)
+        quantum = profile.traits.position_quantum
         homing = self.axis.settings.homing
         self.drive = DriveModel(
             self.axis.design,

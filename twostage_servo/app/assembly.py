@@ -1,9 +1,9 @@
 """Puts a service together from a loaded configuration; what does not fit is an error with file, line and key."""
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import can
 
@@ -11,6 +11,7 @@ from twostage_servo.api.address import own_socket
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.detection import check_detection
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.canbus.bus_load import CyclicFrame, bus_load
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import Config, LoadedConfig
@@ -30,24 +31,6 @@ _RESTART = "has changed: only a restart of the service can follow that"
 
 _ECHOING = frozenset({"udp_multicast"})
 """Interfaces of python-can on which a sender hears its own frames, whatever it asks for."""
-
-
-class DriveFrames(NamedTuple):
-    """What an axis has to know of its drive's frames; unlike a compiled profile it can be handed to another process."""
-
-    counter_modulus: int
-    position_period: float
-    position_quantum: float
-    heartbeat_id: "Identifier | None"
-    effort_limit: float
-    effort_unit: str
-    dbc_digest: str
-    fault_texts: "Mapping[int, str]"
-
-    @classmethod
-    def of(cls, profile: DriveProfile) -> "DriveFrames":
-        """Take it from a compiled profile."""
-        return cls(*(getattr(profile, name) for name in cls._fields))
 
 
 _designed = functools.lru_cache(maxsize=8)(design_axis)
@@ -82,27 +65,27 @@ def compile_profile(loaded: LoadedConfig[Config]) -> DriveProfile:
         profile = DriveProfile.compile(config.protocol, loaded.folder, config.axis.unit, fd=config.bus.fd)
     except ProtocolError as error:
         raise loaded.problem(error.key, str(error)) from error
-    _check_effort(loaded, profile)
+    _check_effort(loaded, profile.traits)
     return profile
 
 
-def _check_effort(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames) -> None:
+def _check_effort(loaded: LoadedConfig[Config], traits: DriveTraits) -> None:
     config = loaded.config
-    if profile.effort_unit not in {"", "1", config.axis.effort_unit}:
+    if traits.effort_unit not in {"", "1", config.axis.effort_unit}:
         raise loaded.problem(
             ("axis", "effort_unit"),
-            f"the drive's command signal is in {profile.effort_unit!r}; set axis.effort_unit to that, and give plant "
+            f"the drive's command signal is in {traits.effort_unit!r}; set axis.effort_unit to that, and give plant "
             "and limits in it",
         )
-    if config.axis.limits.effort > profile.effort_limit:
+    if config.axis.limits.effort > traits.effort_limit:
         raise loaded.problem(
             ("axis", "limits", "effort"),
-            f"the drive's command signal carries at most {profile.effort_limit:g} {config.axis.effort_unit}; lower the "
+            f"the drive's command signal carries at most {traits.effort_limit:g} {config.axis.effort_unit}; lower the "
             "limit or use a DBC with a wider signal",
         )
 
 
-def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames, tick_s: float) -> Axis:
+def build_axis(loaded: LoadedConfig[Config], traits: DriveTraits, tick_s: float) -> Axis:
     """Return the axis that a configuration describes, disarmed, on a tick of so many seconds.
 
     Raises
@@ -110,27 +93,19 @@ def build_axis(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames
     ConfigError
         If no law can be designed from the settings.
     """
-    _check_encoder(loaded, profile, tick_s)
+    _check_encoder(loaded, traits, tick_s)
     designed = design(loaded, tick_s)
     try:
         check_detection(designed)
-        return Axis(
-            designed,
-            profile.counter_modulus,
-            profile.position_period,
-            profile.position_quantum,
-            heartbeat=profile.heartbeat_id is not None,
-            tells_enabled=loaded.config.protocol.feedback.enabled is not False,
-            fault_texts=profile.fault_texts,
-        )
+        return Axis(designed, traits)
     except DesignError as error:
         raise loaded.problem(error.key, str(error)) from error
 
 
-def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFrames, tick_s: float) -> None:
+def _check_encoder(loaded: LoadedConfig[Config], traits: DriveTraits, tick_s: float) -> None:
     limits, unit = loaded.config.axis.limits, loaded.config.axis.unit
     travel = limits.position_maximum - limits.position_minimum + 2.0 * limits.position_overrun
-    half = 0.5 * profile.position_period
+    half = 0.5 * traits.position_period
     # Ticks may be missed while a frame is due, and neither limit is reached.
     missed_ms = 1e3 * tick_s * limits.missed_ticks
     gone = 1e-3 * limits.overspeed * (limits.stale_feedback_ms + missed_ms)
@@ -139,7 +114,7 @@ def _check_encoder(loaded: LoadedConfig[Config], profile: DriveProfile | DriveFr
             ("axis", "limits", "stale_feedback_ms"),
             f"in {limits.stale_feedback_ms:g} ms without feedback, and {missed_ms:g} ms of limits.missed_ticks, the "
             f"axis can go {gone:g} {unit} (limits.overspeed), which is not less than half of the "
-            f"{profile.position_period:g} {unit} after which its encoder comes round to the same count: allow less "
+            f"{traits.position_period:g} {unit} after which its encoder comes round to the same count: allow less "
             f"than {1e3 * half / limits.overspeed:.4g} ms for both",
         )
 
@@ -179,9 +154,8 @@ def build_service(
 def _build_station(loaded: LoadedConfig[Config], machine: Machine) -> Station:
     profile = compile_profile(loaded)
     tick_s = machine.service.tick_ms / 1e3
-    dated = loaded.config.protocol.feedback.sampling == "cyclic"
-    axis = build_axis(loaded, profile, tick_s)
-    return Station(axis, profile, tick_s, machine.service.recording_s, dated=dated)
+    axis = build_axis(loaded, profile.traits, tick_s)
+    return Station(axis, profile, tick_s, machine.service.recording_s, dated=profile.traits.sampling == "cyclic")
 
 
 def _build_port(
@@ -253,13 +227,13 @@ def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> N
     ConfigError
         If the parts do not fit together, or something has changed that only a restart can follow.
     """
-    frames = frames_of(service)
-    put_axes_in(service, prepare_axes(frames, running, fresh, service.ticks.period_s))
+    traits = traits_of(service)
+    put_axes_in(service, prepare_axes(traits, running, fresh, service.ticks.period_s))
 
 
-def frames_of(service: ServoService) -> dict[str, DriveFrames]:
-    """Return what the axes of a service have to know of their drives' frames, by their names."""
-    return {station.name: DriveFrames.of(station.profile) for station in service.stations}
+def traits_of(service: ServoService) -> dict[str, DriveTraits]:
+    """Return what the axes of a service have to know of their drives, by their names."""
+    return {station.name: station.profile.traits for station in service.stations}
 
 
 def put_axes_in(service: ServoService, axes: Sequence[Axis]) -> None:
@@ -270,13 +244,13 @@ def put_axes_in(service: ServoService, axes: Sequence[Axis]) -> None:
     service.allow_for_stops()
 
 
-def prepare_axes(frames: dict[str, DriveFrames], running: Machine, fresh: Machine, tick_s: float) -> list[Axis]:
+def prepare_axes(traits: dict[str, DriveTraits], running: Machine, fresh: Machine, tick_s: float) -> list[Axis]:
     """Design the axes of a configuration that was read again, in the order of the service's.
 
     Parameters
     ----------
-    frames
-        What they have to know of their drives' frames, by their names and in the order of the service's axes.
+    traits
+        What they have to know of their drives, by their names and in the order of the service's axes.
     running, fresh
         The configuration that the service runs on, and the other one.
     tick_s
@@ -294,14 +268,14 @@ def prepare_axes(frames: dict[str, DriveFrames], running: Machine, fresh: Machin
     if (fresh.when_one_trips, now) != (running.when_one_trips, before):
         raise fresh.problem(("machine",), f"[machine], or the name of an axis, {_RESTART}")
     axes = {
-        name: _reread_axis(frames[name], old, new, tick_s)
+        name: _reread_axis(traits[name], old, new, tick_s)
         for name, old, new in zip(now, running.axes, fresh.axes, strict=True)
     }
-    return [axes[name] for name in frames]
+    return [axes[name] for name in traits]
 
 
 def _reread_axis(
-    frames: DriveFrames, running: LoadedConfig[Config], fresh: LoadedConfig[Config], tick_s: float
+    traits: DriveTraits, running: LoadedConfig[Config], fresh: LoadedConfig[Config], tick_s: float
 ) -> Axis:
     for table in ("bus", "protocol"):
         if getattr(fresh.config, table) != getattr(running.config, table):
@@ -312,10 +286,10 @@ def _reread_axis(
         digest = dbc_digest(fresh.config.protocol.dbc, fresh.folder)
     except ProtocolError as error:
         raise fresh.problem(error.key, str(error)) from error
-    if digest != frames.dbc_digest:
+    if digest != traits.digest:
         raise fresh.problem(("protocol", "dbc"), f"the content of the DBC file {_RESTART}")
-    _check_effort(fresh, frames)
-    return build_axis(fresh, frames, tick_s)
+    _check_effort(fresh, traits)
+    return build_axis(fresh, traits, tick_s)
 
 
 def socket_path(settings: ServiceSettings) -> Path:

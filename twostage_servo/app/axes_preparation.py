@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from twostage_servo.app.assembly import DriveFrames, prepare_axes
+from twostage_servo.app.assembly import prepare_axes
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.config.loader import ConfigError
 from twostage_servo.config.machine import Machine, load_machine
 
@@ -25,8 +26,8 @@ class Job(NamedTuple):
         The configuration, as in :func:`~twostage_servo.config.machine.load_machine`.
     running
         A pickle of the machine that runs.
-    frames
-        What the axes have to know of their drives' frames, by their names and in their order.
+    traits
+        What the axes have to know of their drives, by their names and in their order.
     period_s
         Length of a tick in s.
     """
@@ -34,7 +35,7 @@ class Job(NamedTuple):
     path: Path | None
     overrides: tuple[str, ...]
     running: bytes
-    frames: dict[str, DriveFrames]
+    traits: dict[str, DriveTraits]
     period_s: float
 
 
@@ -52,7 +53,7 @@ def prepare(job: Job) -> Prepared:
     running: Machine = pickle.loads(job.running)  # noqa: S301 - see the module's text
     try:
         fresh = load_machine(job.path, job.overrides)
-        axes = prepare_axes(job.frames, running, fresh, job.period_s)
+        axes = prepare_axes(job.traits, running, fresh, job.period_s)
     except ConfigError as error:
         return Prepared("", b"", (), f"the configuration cannot be used\n{error}")
     return Prepared(fresh.source, pickle.dumps(fresh), tuple(pickle.dumps(axis) for axis in axes))

@@ -240,5 +240,5 @@ class Demonstration:
         return None
 
     def _sent(self, effort: float) -> float:
-        quantum = self._station.profile.effort_quantum
+        quantum = self._station.profile.traits.effort_quantum
         return round(effort / quantum) * quantum if quantum else effort

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
-from twostage_servo.app.assembly import frames_of, put_axes_in
+from twostage_servo.app.assembly import put_axes_in, traits_of
 from twostage_servo.app.axes_preparation import Job, Prepared
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.service.turns import Rank
@@ -59,7 +59,7 @@ class Reloading:
             path,
             tuple(overrides),
             pickle.dumps(running),
-            frames_of(service),
+            traits_of(service),
             service.ticks.period_s,
         )
         self._carry_out = carry_out or by_a_process

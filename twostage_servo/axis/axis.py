@@ -1,14 +1,13 @@
 """One axis: what an operator may ask of it; what it does then, tick by tick, is in the module ``machine``."""
 
 import math
-from collections.abc import Mapping
-from types import MappingProxyType
 
 from twostage_servo.axis.admission import say_tripped
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.duration import move_duration
 from twostage_servo.axis.homing import Homing
 from twostage_servo.axis.machine import Machine
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.moves import Move, MoveKind, MoveOutcome
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import BRAKING, LATCHED, Event, State, next_state
@@ -24,26 +23,8 @@ class Axis(Machine):
     long its moves take.
     """
 
-    def __init__(
-        self,
-        design: AxisDesign,
-        counter_modulus: int,
-        position_period: float = 0.0,
-        resolution: float = 0.0,
-        *,
-        heartbeat: bool = False,
-        tells_enabled: bool = True,
-        fault_texts: Mapping[int, str] = MappingProxyType({}),
-    ) -> None:
-        super().__init__(
-            design,
-            counter_modulus,
-            position_period,
-            resolution,
-            heartbeat=heartbeat,
-            tells_enabled=tells_enabled,
-            fault_texts=fault_texts,
-        )
+    def __init__(self, design: AxisDesign, traits: DriveTraits) -> None:
+        super().__init__(design, traits)
         self.duration = move_duration(design)
         self._moves = 0
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from twostage_servo.axis.design import AxisDesign, DesignError
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.state import State
 from twostage_servo.axis.supervision import Supervision
@@ -136,7 +136,7 @@ class _Run:
     def __init__(self, design: AxisDesign, velocity: float) -> None:
         settings = design.settings
         self._design = design
-        self._drive = DriveReport(settings, design.period_s, 0)
+        self._drive = DriveReport(settings, design.period_s, DriveTraits())
         self._motion = Motion(design, self._drive, 0.0)
         self._supervision = Supervision(design, self._motion)
         self._factor = 1.0

@@ -1,13 +1,12 @@
 """What the axis knows of its drive: the newest feedback, how old it is, and what it says of the drive's state."""
 
 import math
-from collections.abc import Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Iterator
 
 from twostage_servo.axis.drive_states import DriveState, DriveStateComparison
 from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
 from twostage_servo.axis.foreign_commands import ForeignCommands
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback
 from twostage_servo.axis.refusals import Obstacle, RefusalCode
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.trips import TripCode
@@ -30,14 +29,8 @@ class DriveReport:
         Limits and time-outs of the axis.
     period_s
         Length of a tick in s.
-    counter_modulus
-        Number of values of the feedback's alive counter.
-    position_period
-        Width in axis unit of the range in which the encoder counts before it rolls over; 0 if it does not.
-    heartbeat
-        Whether the drive has a heartbeat, which is then missed from the first tick on.
-    fault_texts
-        What the drive's fault codes mean, as far as that is known.
+    traits
+        What is known of the drive beforehand; a heartbeat that it has is missed from the first tick on.
 
     Attributes
     ----------
@@ -72,17 +65,8 @@ class DriveReport:
         What somebody else has told the drive.
     """
 
-    def __init__(
-        self,
-        settings: AxisSettings,
-        period_s: float,
-        counter_modulus: int,
-        position_period: float = 0.0,
-        *,
-        heartbeat: bool = False,
-        fault_texts: Mapping[int, str] = MappingProxyType({}),
-    ) -> None:
-        self.monitor = FeedbackMonitor(counter_modulus)
+    def __init__(self, settings: AxisSettings, period_s: float, traits: DriveTraits) -> None:
+        self.monitor = FeedbackMonitor(traits.counter_modulus)
         self.states = DriveStateComparison(settings, period_s)
         self.foreign = ForeignCommands(settings, period_s)
         self.position: float | None = None
@@ -98,14 +82,14 @@ class DriveReport:
         self.boots = 0
         self.fresh = False
         self.told_state = self.told_present_state = False
-        self._fault_texts = fault_texts
+        self._fault_texts = traits.fault_texts
         self._settings = settings
         self._period_ms = 1e3 * period_s
-        self._position_period = position_period
+        self._position_period = position_period = traits.position_period
         self._near: float | None = None  # where the axis is taken to be, to choose among the encoder's rounds
         self._origin = 0.0  # axis position where the encoder counts 0
         self._boot_counter: int | None = None
-        self._has_heartbeat = heartbeat
+        self._has_heartbeat = traits.has_heartbeat
         self._heartbeat_heard = False
         self._ticks_since_heartbeat = 0
         self._ticks_unseen = 0

@@ -1,7 +1,5 @@
 """The machine inside an axis: its state, its trips, and what it does on each tick."""
 
-from collections.abc import Mapping
-
 from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.count_watch import CountWatch
 from twostage_servo.axis.design import AxisDesign
@@ -9,7 +7,7 @@ from twostage_servo.axis.disabled_drive import DisabledDriveWatch
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.drive_states import DriveState
 from twostage_servo.axis.homing import Homing, HomingFailed
-from twostage_servo.axis.messages import NO_EFFORT, Command, Feedback
+from twostage_servo.axis.messages import NO_EFFORT, Command, DriveTraits, Feedback
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.moves import Move, MoveOutcome
 from twostage_servo.axis.reference import Reference
@@ -31,18 +29,8 @@ class Machine:
     ----------
     design
         Gains, observer and settings.
-    counter_modulus
-        Number of values of the feedback's alive counter.
-    position_period
-        Width in axis unit of the range in which the encoder counts before it rolls over; 0 if it does not.
-    resolution
-        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
-    heartbeat
-        Whether the drive has a heartbeat.
-    tells_enabled
-        Whether the drive's feedback tells whether it is enabled.
-    fault_texts
-        What the drive's fault codes mean, as far as that is known.
+    traits
+        What is known of the drive beforehand.
 
     Attributes
     ----------
@@ -68,29 +56,13 @@ class Machine:
         The latest move, jog or homing, or None.
     """
 
-    def __init__(
-        self,
-        design: AxisDesign,
-        counter_modulus: int,
-        position_period: float,
-        resolution: float,
-        *,
-        heartbeat: bool,
-        tells_enabled: bool,
-        fault_texts: Mapping[int, str],
-    ) -> None:
+    def __init__(self, design: AxisDesign, traits: DriveTraits) -> None:
         self.design = design
         self.settings = design.settings
         self.state = State.DISARMED
-        self.drive = DriveReport(
-            self.settings,
-            design.period_s,
-            counter_modulus,
-            position_period,
-            heartbeat=heartbeat,
-            fault_texts=fault_texts,
-        )
-        report_period_ms = 0.0 if tells_enabled else self.settings.limits.heartbeat_ms
+        self.drive = DriveReport(self.settings, design.period_s, traits)
+        resolution = traits.position_quantum
+        report_period_ms = 0.0 if traits.tells_enabled else self.settings.limits.heartbeat_ms
         self.disabled = DisabledDriveWatch(design, resolution, report_period_ms)
         self.motion = Motion(design, self.drive, resolution)
         self.supervision = Supervision(design, self.motion)

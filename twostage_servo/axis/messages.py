@@ -1,6 +1,64 @@
-"""What crosses between an axis and its drive: feedback and commands."""
+"""What crosses between an axis and its drive: the drive's traits, feedback and commands."""
 
-from typing import NamedTuple
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+
+@dataclass(frozen=True, slots=True)
+class DriveTraits:
+    """What an axis has to know of its drive beforehand. It can be handed to another process.
+
+    Attributes
+    ----------
+    counter_modulus
+        Number of values of the feedback's alive counter; 1 where it has none.
+    position_period
+        Width in axis unit of the range in which the encoder counts before it comes round to the same count; 0 if it
+        does not.
+    position_quantum
+        Step in which the position is reported, in axis unit; 0 for a floating-point number.
+    position_unit
+        Unit of the position, as the drive's description gives it; empty where it gives none.
+    says_invalid
+        Whether the drive can say that a position is invalid.
+    effort_limit
+        Largest magnitude of the effort that a command carries in both directions.
+    effort_quantum
+        Step of the effort in a command; 0 for a floating-point number.
+    effort_unit
+        Unit of the effort, as the drive's description gives it; empty where it gives none.
+    sampling
+        ``"on_command"`` where a feedback is sampled as the drive takes the command that it answers, ``"cyclic"`` where
+        the drive samples at a rhythm of its own, so that a frame's age dates its sample.
+    has_heartbeat
+        Whether the drive has a heartbeat.
+    counts_boots
+        Whether the heartbeat counts the drive's boots.
+    tells_enabled
+        Whether the feedback tells whether the drive is enabled.
+    fault_texts, state_texts
+        What the codes of faults, and of the heartbeat's states, mean, as far as that is known.
+    digest
+        Digest of the file that describes the drive, by which another content is known; empty where there is none.
+    """
+
+    counter_modulus: int = 1
+    position_period: float = 0.0
+    position_quantum: float = 0.0
+    position_unit: str = ""
+    says_invalid: bool = False
+    effort_limit: float = math.inf
+    effort_quantum: float = 0.0
+    effort_unit: str = ""
+    sampling: Literal["on_command", "cyclic"] = "on_command"
+    has_heartbeat: bool = False
+    counts_boots: bool = False
+    tells_enabled: bool = True
+    fault_texts: Mapping[int, str] = field(default_factory=dict)
+    state_texts: Mapping[int, str] = field(default_factory=dict)
+    digest: str = ""
 
 
 class Feedback(NamedTuple):

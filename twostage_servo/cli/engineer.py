@@ -91,8 +91,8 @@ def _summary(machine: "Machine", loaded: "LoadedConfig[Config]", station: "Stati
         "frames": {
             "command": profile.command_id.identifier,
             "feedback": profile.feedback_id.identifier,
-            "effort_quantum": profile.effort_quantum,
-            "position_quantum": profile.position_quantum,
+            "effort_quantum": profile.traits.effort_quantum,
+            "position_quantum": profile.traits.position_quantum,
         },
         "changeover_distance": axis.design.changeover_distance(config.axis.cruise_velocity),
         "unit": config.axis.unit,
@@ -107,8 +107,8 @@ def _warnings(loaded: "LoadedConfig[Config]", station: "Station") -> "Iterator[d
     """Yield the limits that protect from nothing, with the place where each is set."""
     from twostage_servo.axis.weak_limits import weak_limits
 
-    profile = station.profile
-    for weak in weak_limits(station.axis.design, profile.position_quantum, heartbeat=profile.heartbeat_id is not None):
+    traits = station.profile.traits
+    for weak in weak_limits(station.axis.design, traits.position_quantum, heartbeat=traits.has_heartbeat):
         yield _warning(loaded.problem(("axis", *weak.key), weak.disables), weak.value, weak.do)
 
 

@@ -175,7 +175,7 @@ class Bench:
     def tolerance(self) -> float:
         """How far the reports of an axis at rest may differ, in axis unit."""
         config = self.loaded.config
-        step = max(self.profile.position_quantum, config.simulation.quantum)
+        step = max(self.profile.traits.position_quantum, config.simulation.quantum)
         return max(1e-3 * config.axis.cruise_velocity * _REST_S, 1.5 * step)
 
     def _check(self, end_s: float, what: str) -> None:

@@ -62,7 +62,7 @@ class ConfigurationFaults:
     def unit_is_free(loaded: LoadedConfig[Config]) -> bool:
         """Whether the axis' unit can't be compared with one of the DBC."""
         profile = compile_profile(loaded)
-        return loaded.config.protocol.feedback.position_scale != 1.0 or not profile.position_unit
+        return loaded.config.protocol.feedback.position_scale != 1.0 or not profile.traits.position_unit
 
     def _override(self, override: str) -> Callable[[], LoadedConfig[Config]]:
         return lambda: load(self._path, [*self._overrides, override])

@@ -103,7 +103,7 @@ class Listener:
         return max((later - earlier for earlier, later in itertools.pairwise(times)), default=0.0)
 
     def _roll_out(self, counted: float) -> float:
-        period = self._profile.position_period
+        period = self._profile.traits.position_period
         if not period or not self.reports:
             return counted
         return counted - period * round((counted - self.reports[-1].position) / period)

@@ -231,7 +231,7 @@ def _disarmed_and_moved(budget: Budget) -> float:
 
 def _contradicts(profile: DriveProfile, _: ProtocolSettings) -> bool:
     return profile.heartbeat_id is not None and _D.FAULT_STATE in {
-        text.lower() for text in profile.state_texts.values()
+        text.lower() for text in profile.traits.state_texts.values()
     }
 
 
@@ -350,7 +350,7 @@ TABLE: tuple[Fault, ...] = (
           note="the drive's own time-out stops it", shared=True),
     # The encoder
     Fault(17, "counter rolls over", lambda *_: None, TOLERATED, _unnoticed, prepare=_D.roll_over_ahead,
-          needs=lambda profile, _: profile.position_period > 0.0,
+          needs=lambda profile, _: profile.traits.position_period > 0.0,
           reason="the drive's position signal does not roll over"),
     Fault(18, "a single spike", _D.spike, TOLERATED, _bridged),
     Fault(19, "a jump that stays", _D.jump, QUICK, lambda budget: budget.implausible(),
@@ -365,7 +365,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(22, "scale halved", _D.scaled(0.5), QUICK, lambda budget: budget.halved_scale(), idle=QUICK, again=True,
           phases=(*EVERYWHERE, *BRAKED), instead=DISABLED,
           limit=either(too_slow, looks_like_the_model(0.5)), limit_bound=lambda budget: budget.hidden_scale()),
-    Fault(23, "position invalid", _D.not_a_number, QUICK, _stale, needs=lambda profile, _: profile.can_say_invalid,
+    Fault(23, "position invalid", _D.not_a_number, QUICK, _stale, needs=lambda profile, _: profile.traits.says_invalid,
           reason="the drive's position signal has no value that says it is invalid"),
     Fault(24, "slow drift", _D.drift, TOLERATED, _followed,
           note="cannot be observed with one encoder: the axis follows it"),

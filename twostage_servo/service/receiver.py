@@ -61,7 +61,7 @@ class Receiver:
         self._late = False
         self.drive_state: int | None = None
         # Of a heartbeat without a state, or with states that are not CiA 402's, nothing is known.
-        self._states = {value: interpret(text) for value, text in profile.state_texts.items()}
+        self._states = {value: interpret(text) for value, text in profile.traits.state_texts.items()}
         self._log = structlog.get_logger().bind(room="receiver")
 
     def begin_tick(self, tick: Tick, sent_s: float | None) -> None:

@@ -289,7 +289,7 @@ class SimulatedDrive:
         self.counters.samples += 1
         axis, faults, code = self._axis, self._faults, self._fault_code
         if not faults.frozen_counter:
-            self._feedback_counter = (self._feedback_counter + 1) % self._profile.counter_modulus
+            self._feedback_counter = (self._feedback_counter + 1) % self._profile.traits.counter_modulus
         return self._profile.encode_feedback(
             Feedback(
                 position=self._encoder.sample(axis.position, faults.measure),

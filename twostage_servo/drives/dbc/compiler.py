@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
 
 from cantools.database.can import Database
 
@@ -59,7 +59,7 @@ class Compiler:
 
     def __init__(self, settings: ProtocolSettings, folder: Path, *, fd: bool = False) -> None:
         self._fd = fd
-        self.sampling = settings.feedback.sampling
+        self.sampling: Literal["on_command", "cyclic"] = settings.feedback.sampling
         self._settings = settings
         self._database, self._source, self.dbc_digest = _load(settings.dbc, folder)
         tables = ("feedback", "command") if settings.index.message is False else ("feedback", "command", "index")

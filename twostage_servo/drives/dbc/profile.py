@@ -5,11 +5,12 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, NamedTuple, Self
 
-from twostage_servo.drives.dbc.compiler import Compiler
+from twostage_servo.axis.messages import DriveTraits
+from twostage_servo.drives.dbc.compiler import ABSENT, Compiler
 from twostage_servo.drives.dbc.settings import (
     ProtocolSettings,
 )
-from twostage_servo.drives.dbc.signal_codec import UndecodableValue
+from twostage_servo.drives.dbc.signal_codec import SignalCodec, UndecodableValue
 from twostage_servo.drives.frame import FrameRejected, ReceivedFrame
 from twostage_servo.drives.protocol_error import ProtocolError
 
@@ -83,33 +84,13 @@ class DriveProfile:
         Identifiers of the index message and of the heartbeat; None when the drive has none.
     controller_identifiers, drive_identifiers : tuple of Identifier
         What the controller listens to; what the drive listens to.
-    position_unit : str
-        Unit of the position in the DBC; empty where it gives none.
-    can_say_invalid : bool
-        Whether the feedback's position signal has a value for "position invalid".
-    effort_quantum : float
-        Step of the effort, in the drive's unit; 0 for an IEEE float.
-    effort_unit : str
-        Unit of the effort in the DBC; empty where it gives none.
-    effort_limit : float
-        Largest magnitude of the effort that the signal carries in both directions.
-    position_quantum : float
-        Step of the position, axis units; 0 for an IEEE float.
-    position_period : float
-        Width of the raw range of the position, of feedback and index alike, axis units: after that much it comes round
-        to the same raw value. 0 for a position that does not roll over: an IEEE float, or a signal that its DBC limits
-        to less than the range of its bits.
-    sampling : str
-        ``"on_command"`` when a feedback was sampled as the drive took the command that it answers, ``"cyclic"`` when
-        the drive samples at a rhythm of its own.
-    counter_modulus, command_counter_modulus, index_counter_modulus : int
-        Number of values of the alive counter of feedback, command and index; 1 when there is none.
+    traits : DriveTraits
+        What an axis has to know of the drive beforehand. The position has a period where it rolls over: not as an IEEE
+        float, nor in a signal that its DBC limits to less than the range of its bits.
+    command_counter_modulus, index_counter_modulus : int
+        Number of values of the alive counter of command and index; 1 when there is none.
     boot_counter_modulus : int
         Number of values of the boot counter; 1 when there is none.
-    dbc_digest : str
-        Digest of the content of the DBC file from which it was compiled.
-    fault_texts, state_texts : mapping of int to str
-        Value tables of fault code and state; empty where the DBC has none.
     """
 
     def __init__(self, compiler: Compiler, axis_unit: str) -> None:
@@ -132,27 +113,27 @@ class DriveProfile:
         self.controller_identifiers = tuple(one for one in (self.feedback_id, self.index_id, self.heartbeat_id) if one)
         self.drive_identifiers = (self.command_id,)
 
-        effort, position = command["effort"], feedback["position"]
-        self.effort_quantum = effort.quantum
-        self.effort_unit = effort.unit
-        self.effort_limit = min(effort.maximum, -effort.minimum)
-        self.position_quantum = position.quantum
-        self.position_unit = position.unit
-        self.position_period = position.period
-        self.sampling = compiler.sampling
-        self.dbc_digest = compiler.dbc_digest
-        self.counter_modulus = int(feedback["counter"].maximum) + 1
         self.command_counter_modulus = int(command["counter"].maximum) + 1
         self.index_counter_modulus = int(index["counter"].maximum) + 1
         self.boot_counter_modulus = int(heartbeat["boot_counter"].maximum) + 1
-        self.fault_texts = feedback["fault_code"].choices
-        self.state_texts = heartbeat["state"].choices
-
-        try:
-            position.encode(math.nan)
-            self.can_say_invalid = True
-        except ValueError:
-            self.can_say_invalid = False
+        effort, position = command["effort"], feedback["position"]
+        self.traits = DriveTraits(
+            counter_modulus=int(feedback["counter"].maximum) + 1,
+            position_period=position.period,
+            position_quantum=position.quantum,
+            position_unit=position.unit,
+            says_invalid=_says_invalid(position),
+            effort_limit=min(effort.maximum, -effort.minimum),
+            effort_quantum=effort.quantum,
+            effort_unit=effort.unit,
+            sampling=compiler.sampling,
+            has_heartbeat=self._heartbeat is not None,
+            counts_boots=heartbeat["boot_counter"] is not ABSENT,
+            tells_enabled=feedback["enabled"] is not ABSENT,
+            fault_texts=feedback["fault_code"].choices,
+            state_texts=heartbeat["state"].choices,
+            digest=compiler.dbc_digest,
+        )
 
         # In the order of the tuples' fields. The functions themselves, not their codecs: fewer look-ups a frame.
         self._feedback_decoders = tuple(feedback[role].decode for role in Feedback._fields)
@@ -245,7 +226,7 @@ class DriveProfile:
             When the position is not finite, and its signal has no raw value for an invalid one.
         """
         if feedback.counter is not None:
-            feedback = feedback._replace(counter=feedback.counter % self.counter_modulus)
+            feedback = feedback._replace(counter=feedback.counter % self.traits.counter_modulus)
         return self._feedback.data(_encode(self._feedback_encoders, feedback))
 
     def decode_feedback(self, message: ReceivedFrame) -> Feedback:
@@ -334,9 +315,17 @@ class DriveProfile:
             heartbeat = Heartbeat._make([decode(word) for decode in self._heartbeat_decoders])
         except UndecodableValue as error:
             raise FrameRejected(error.reason, message, str(error)) from error
-        if self.state_texts and heartbeat.state not in self.state_texts:
+        if self.traits.state_texts and heartbeat.state not in self.traits.state_texts:
             raise FrameRejected("reserved_value", message, f"state {heartbeat.state} is not in the DBC's value table")
         return heartbeat
+
+
+def _says_invalid(position: SignalCodec) -> bool:
+    try:
+        position.encode(math.nan)
+    except ValueError:
+        return False
+    return True
 
 
 def _check_position(position: float) -> None:
