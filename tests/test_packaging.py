@@ -1,4 +1,4 @@
-"""What the installed package holds, and which room may import which."""
+"""What the installed package holds, and what its rooms may not load."""
 
 import ast
 import importlib.resources
@@ -16,78 +16,6 @@ import twostage_servo
 PACKAGE = Path(twostage_servo.__file__).parent
 PYPROJECT = Path(__file__).parent.parent / "pyproject.toml"
 
-MAY_IMPORT = {
-    "control": set[str](),
-    "axis": {"control"},
-    "canbus": {"control"},
-    "drives": {"axis", "canbus"},
-    "simulation": {"canbus", "control", "drives"},
-    "host": set[str](),
-    "api": set[str](),
-    "telemetry": {"axis"},
-    "service": {"api", "axis", "canbus", "control", "drives", "host", "telemetry"},
-    "app": {
-        "api",
-        "axis",
-        "canbus",
-        "config",
-        "control",
-        "drives",
-        "host",
-        "paper",
-        "service",
-        "simulation",
-        "telemetry",
-    },
-    "faults": {
-        "api",
-        "axis",
-        "canbus",
-        "control",
-        "drives",
-        "simulation",
-        "service",
-        "telemetry",
-        "app",
-        "config",
-        "cli",
-    },  # its children are whole programs
-    "paper": {"control"},
-    "cli": {
-        "api",
-        "axis",
-        "canbus",
-        "control",
-        "drives",
-        "simulation",
-        "service",
-        "host",
-        "config",
-        "faults",
-        "paper",
-        "app",
-        "telemetry",
-    },
-    # config only composes the rooms' settings; it may take nothing else from them (see below).
-    "config": {
-        "axis",
-        "canbus",
-        "drives",
-        "host",
-        "simulation",
-        "service",
-    },
-    "settings": set[str](),
-    "timing": set[str](),
-    "__main__": {"cli"},
-    "exact": set[str](),
-    "printable": set[str](),
-    "worker_process": set[str](),
-    "worker_thread": set[str](),
-}
-"""Room or top-level module: what it may import besides itself, the package's version and what anyone may import."""
-
-ANYONE_MAY_IMPORT = {"exact", "printable", "settings", "timing", "worker_process", "worker_thread"}
 HEAVY = {"numpy", "scipy", "control", "can", "cantools", "pydantic", "structlog", "asyncio", "matplotlib"}
 
 
@@ -113,17 +41,6 @@ def room_of(source: Path) -> str:
 
 
 SOURCES = sorted(source for source in PACKAGE.rglob("*.py") if source != PACKAGE / "__init__.py")
-
-
-@pytest.mark.parametrize("source", SOURCES, ids=lambda source: str(source.relative_to(PACKAGE)))
-def test_arrows_between_rooms_point_down_only(source: Path) -> None:
-    room = room_of(source)
-    imported = {name.split(".")[1] for name in imported_modules(source) if name.startswith("twostage_servo.")}
-    assert imported - {room} - ANYONE_MAY_IMPORT <= MAY_IMPORT[room]
-
-
-def test_the_arrows_cover_every_room() -> None:
-    assert {room_of(source) for source in SOURCES} == set(MAY_IMPORT)
 
 
 def test_the_configuration_takes_only_settings_from_the_rooms() -> None:

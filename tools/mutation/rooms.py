@@ -41,12 +41,13 @@ ROOMS = {
         ),
     ),
     "service": Room(
-        ("app", "service", "telemetry", "api"),
+        ("app", "service", "telemetry", "api", "timing/histogram.py"),
         (
             "tests/app",
             "tests/service",
             "tests/telemetry",
             "tests/api",
+            "tests/timing/test_histogram.py",
             "tests/test_printable.py",
             "tests/canbus/test_slow_opening.py",
         ),
