@@ -32,7 +32,8 @@ from tools.bench import (
 )
 from tools.bench.children import ChildError
 from tools.bench.plan import FULL, QUICK
-from twostage_servo.api.request_reading import BadRequestError, parse_request
+from twostage_servo.api.request_reading import parse_request
+from twostage_servo.api.requests import BadRequestError
 from twostage_servo.cli.output import CommandError, ExitCode
 from twostage_servo.timing.virtual_clock import run as simulate
 

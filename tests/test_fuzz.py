@@ -22,7 +22,7 @@ from tools.fuzz.reference import refusal
 from tools.fuzz.reproducible import reproducible
 from tools.fuzz.request_maker import minimal_request, numeric_fields
 from tools.fuzz.targets import CodecTarget, SocketTarget
-from twostage_servo.api.requests import Request
+from twostage_servo.api.requests import OPERATIONS
 from twostage_servo.config.loader import ConfigError, load
 from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
 from twostage_servo.drives.dbc.settings import ProtocolSettings
@@ -84,10 +84,10 @@ def test_an_episode_follows_from_its_seed() -> None:
 
 def test_every_numeric_field_of_every_request_is_among_those_tried() -> None:
     in_models = {
-        (model.__name__, name)
-        for model in typing.get_args(Request)
-        for name, field in model.model_fields.items()
-        if {int, float} & {field.annotation, *typing.get_args(field.annotation)}
+        (model.op, name)
+        for model in OPERATIONS.values()
+        for name, kind in typing.get_type_hints(model).items()
+        if {int, float} & {kind, *typing.get_args(kind)}
     }
     assert len(in_models) == len(numeric_fields())
     assert {name for _, name in in_models} == {field.field for field in numeric_fields()}

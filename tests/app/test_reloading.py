@@ -148,7 +148,7 @@ def test_while_one_is_prepared_another_is_refused_and_an_axis_that_was_armed_kee
         await first
         assert desk.is_prepared("first")
         with pytest.raises(Refused, match="settings are read again only while disarmed") as refused:
-            world.service.handle(ReloadRequest(op="reload"), "first")
+            world.service.handle(ReloadRequest(), "first")
         assert refused.value.code == "armed"
         assert world.axis is axis
         assert not desk.is_prepared("first")
@@ -169,7 +169,7 @@ def test_what_was_read_again_is_compared_with_what_is_read_next(file: Path) -> N
             )
             await desk.prepare_reload("this process")
             with structlog.testing.capture_logs() as logs:
-                world.service.handle(ReloadRequest(op="reload"))
+                world.service.handle(ReloadRequest())
             assert world.axis.settings.cruise_velocity == float(velocity)
             assert logs == [{"event": "configuration read again", "log_level": "info", "config": str(file)}]
         change(file, 'channel = "twostage-servo-demo"', 'channel = "another"')

@@ -59,7 +59,7 @@ def test_who_goes_first() -> None:
         connections = Connections()
         holder, idle, later, busy, stopping, ended = (ends.connection(name) for name in "hilbse")
         busy.busy = True
-        stopping.urgent = StopRequest(op="stop")
+        stopping.urgent = StopRequest()
         ended.ended = True
         for one in (holder, stopping, busy, idle, later, ended):
             connections.add(one)
@@ -179,7 +179,7 @@ def test_those_who_wait_are_let_in_in_their_order_and_no_more_wait_than_may() ->
     async def script(ends: Ends) -> None:
         newcomers = Newcomers(RequestAge(0.01))
         assert newcomers.next_waiting() is None
-        stop = StopRequest(op="stop")
+        stop = StopRequest()
         ones = [ends.connection() for _ in range(MOST_WAITING)]
         for wave in range(2):
             hearing = asyncio.create_task(newcomers.somebody_waits())

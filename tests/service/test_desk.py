@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import structlog
 
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import COMMANDED, State
 from twostage_servo.service.desk import Desk
@@ -68,7 +68,7 @@ class Service:
         self.failed.append(error)
 
     def ask(self, client: str = "operator", **request: Any) -> dict[str, Any]:
-        return self.desk.handle(REQUESTS.validate_python(request), client)
+        return self.desk.handle(read_request(request), client)
 
     def refusal(self, client: str = "operator", **request: Any) -> tuple[str, str]:
         with pytest.raises(Refused) as refused:
@@ -280,7 +280,7 @@ def test_a_defect_ends_the_service_and_is_told_with_its_kind() -> None:
     text = "ZeroDivisionError: by nothing; the service is stopping"
     assert service.refusal(op="jog", velocity=1.0, axis="x") == ("internal_error", text)
     with pytest.raises(Refused, match="by nothing"):
-        service.desk.carry_out(REQUESTS.validate_python({"op": "jog", "velocity": 1.0, "axis": "x"}), "operator")
+        service.desk.carry_out(read_request({"op": "jog", "velocity": 1.0, "axis": "x"}), "operator")
     assert service.failed == [defect, defect]
 
 

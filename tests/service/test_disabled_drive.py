@@ -11,7 +11,7 @@ import structlog
 
 from tests.service.rig import World, simulate
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -37,7 +37,7 @@ def change(world: World, **faults: Any) -> None:
 
 
 def ask(world: World, **request: Any) -> dict[str, Any]:
-    return world.service.handle(REQUESTS.validate_python(request), "operator")
+    return world.service.handle(read_request(request), "operator")
 
 
 def lasting(world: World) -> list[str]:

@@ -8,7 +8,7 @@ import pytest
 import structlog
 
 from tests.service.rig import World, simulate
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -30,7 +30,7 @@ def lasting(world: World) -> list[str]:
 
 
 def ask(world: World, **request: Any) -> dict[str, Any]:
-    return world.service.handle(REQUESTS.validate_python(request), "operator")
+    return world.service.handle(read_request(request), "operator")
 
 
 class Other:

@@ -57,7 +57,7 @@ def test_a_defect_in_a_request_ends_the_service_and_is_told_to_log_and_client() 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(type(world.station.recorder), "records", lambda _: broken())
             with pytest.raises(Refused, match="RuntimeError: a defect; the service is stopping") as refused:
-                world.service.handle(RecordingRequest(op="recording"))
+                world.service.handle(RecordingRequest())
         assert refused.value.code == "internal_error"
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.INTERNAL_ERROR
@@ -113,11 +113,11 @@ def test_an_axis_that_reacts_to_another_is_told_with_both(tmp_path: Path) -> Non
 def test_a_move_by_a_way_begins_where_the_last_one_ended() -> None:
     async def script(world: World) -> None:
         await world.armed()
-        world.service.handle(MoveRequest(op="move", by=2.5))
+        world.service.handle(MoveRequest(by=2.5))
         await world.until(lambda: world.axis.move is not None and world.axis.move.outcome == "reached")
         assert world.axis.move is not None
         assert (world.axis.move.target, world.axis.move.velocity) == (2.5, world.axis.settings.cruise_velocity)
-        world.service.handle(MoveRequest(op="move", by=2.5, velocity=20.0))
+        world.service.handle(MoveRequest(by=2.5, velocity=20.0))
         assert (world.axis.move.target, world.axis.move.velocity) == (5.0, 20.0)
 
     simulate(script)

@@ -349,7 +349,7 @@ def test_arming_over_a_closed_bus_says_that_the_bus_is_closed(monkeypatch: pytes
         monkeypatch.setattr(world.station.port.link, "open", fail)
         await world.seconds(0.1)
         with pytest.raises(Refused, match="the bus is not open: unplugged"):
-            world.service.handle(ArmRequest(op="arm"))
+            world.service.handle(ArmRequest())
 
     simulate(script)
 
@@ -363,10 +363,10 @@ def test_an_ending_service_takes_no_more_orders(moving: bool) -> None:
             await world.seconds(1.0)
         world.service.shut_down()
         for _ in range(100):
-            for request in (ArmRequest(op="arm"), MoveRequest(op="move", position=0.0)):
+            for request in (ArmRequest(), MoveRequest(position=0.0)):
                 with pytest.raises(Refused, match="the service is ending"):
                     world.service.handle(request)
-            assert world.service.handle(StatusRequest(op="status"))
+            assert world.service.handle(StatusRequest())
             await world.seconds(0.01)
             if world.serving.done():
                 break

@@ -10,7 +10,7 @@ import structlog
 
 from tests.service.rig import World, simulate
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
 from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
@@ -183,7 +183,7 @@ def test_a_place_outside_the_limits_is_refused_with_the_numbers(place: float, *,
         await world.until(lambda: world.axis.ready_to_arm)
         if armed:
             await world.armed()
-        request = REQUESTS.validate_python({"op": "home", "position": place})
+        request = read_request({"op": "home", "position": place})
         with pytest.raises(Refused, match="-2500 to 2500 mm and an overrun of 20 mm") as refused:
             world.service.handle(request)
         assert refused.value.code == "position_limit"

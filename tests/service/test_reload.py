@@ -19,7 +19,7 @@ from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.drives.protocol_error import ProtocolError
 
-RELOAD = ReloadRequest(op="reload")
+RELOAD = ReloadRequest()
 DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")
 
 
@@ -52,11 +52,11 @@ def test_what_has_changed_is_in_force_and_the_axis_stays_disarmed(file: Path) ->
         await world.seconds(1.0)
         assert world.state() is State.DISARMED
         assert world.service.snapshot()["axis"]["position"] == 0.0
-        world.service.handle(ArmRequest(op="arm"))
+        world.service.handle(ArmRequest())
         await world.until(lambda: world.state() is State.HOLDING)
         with pytest.raises(Refused, match="from -2500 to 60 mm"):
-            world.service.handle(MoveRequest(op="move", position=61.0))
-        assert world.service.handle(MoveRequest(op="move", position=50.0))["move"]["velocity"] == 40.0
+            world.service.handle(MoveRequest(position=61.0))
+        assert world.service.handle(MoveRequest(position=50.0))["move"]["velocity"] == 40.0
         await world.until(lambda: world.axis.move is not None and world.axis.move.outcome == "reached")
         assert world.service.statistics.missed == 0
 

@@ -11,7 +11,7 @@ import can
 import pytest
 import structlog
 
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.assembly import build_service, reload_machine
 from twostage_servo.app.configuration_files import shipped_configuration
 from twostage_servo.axis.axis import Axis
@@ -62,7 +62,7 @@ class Plant:
         return self.service.station(name).axis
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        return self.service.handle(REQUESTS.validate_python(request))
+        return self.service.handle(read_request(request))
 
     def states(self) -> list[State]:
         return [station.axis.state for station in self.service.stations]

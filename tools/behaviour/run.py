@@ -21,7 +21,7 @@ from typing import Final
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import BusSettings, Link
@@ -128,7 +128,7 @@ async def two_axes() -> str:
 def _ask(service: ServoService, request: dict[str, object]) -> str:
     """Return what a request came to: its refusal, or how each axis is then."""
     try:
-        service.handle(REQUESTS.validate_python(request))
+        service.handle(read_request(request))
     except Refused as refused:
         return f"{refused.code}: {refused}"
     return json.dumps(

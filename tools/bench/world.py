@@ -58,7 +58,7 @@ def build(axes: int) -> tuple[ServoService, list[DriveNode], Callable[[], list[R
         nonlocal end
         end = -end
         ends = dict.fromkeys((station.name for station in service.stations), end)
-        return [MoveRequest(op="move", positions=ends, velocity=_VELOCITY)]
+        return [MoveRequest(positions=ends, velocity=_VELOCITY)]
 
     return service, nodes, to_the_other_end
 
@@ -94,7 +94,7 @@ async def operate(axes: int, prepare: Callable[[ServoService], None]) -> AsyncIt
     prepare(service)
     driving = [asyncio.create_task(node.run()) for node in nodes]
     serving = asyncio.create_task(service.run())
-    await _insist(service, ArmRequest(op="arm"))
+    await _insist(service, ArmRequest())
 
     async def shuttle() -> None:
         while True:

@@ -16,7 +16,7 @@ import can
 import structlog
 
 from tools.fuzz.drives import Drive
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
@@ -336,7 +336,7 @@ class Bench:
         """Ask the service for something; a refusal is an answer as well."""
         self.refused = ""
         try:
-            self.service.handle(REQUESTS.validate_python(request))
+            self.service.handle(read_request(request))
         except Refused as refusal:
             self.refused = refusal.code
             self.refusals[refusal.code] += 1

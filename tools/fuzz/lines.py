@@ -16,7 +16,8 @@ from tools.fuzz.drives import all_drives
 from tools.fuzz.outcome import Outcome
 from tools.fuzz.reproducible import reproducible
 from tools.fuzz.request_maker import RequestMaker, numeric_fields, request_schemas
-from twostage_servo.api.request_reading import LONGEST_LINE, BadRequestError, parse_request
+from twostage_servo.api.request_reading import LONGEST_LINE, parse_request
+from twostage_servo.api.requests import BadRequestError
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State
 from twostage_servo.service import answers

@@ -4,7 +4,9 @@ import random
 from functools import cache
 from typing import Any, NamedTuple
 
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
+from twostage_servo.api.requests import OPERATIONS
+from twostage_servo.api.schema import schema_of_request
 from twostage_servo.axis.settings import AxisSettings
 
 Schema = dict[str, Any]
@@ -20,15 +22,8 @@ class NumericField(NamedTuple):
 
 @cache
 def request_schemas() -> dict[str, Schema]:
-    """Return the JSON schema of each request by its ``op``; references are resolved."""
-    schema = REQUESTS.json_schema()
-    definitions = schema.get("$defs", {})
-    schemas = {}
-    for option in schema["oneOf"]:
-        resolved = _resolve(option, definitions)
-        properties = resolved["properties"]
-        schemas[properties["op"]["const"]] = resolved
-    return schemas
+    """Return the JSON schema of each request by its ``op``."""
+    return {op: schema_of_request(request) for op, request in OPERATIONS.items()}
 
 
 @cache
@@ -37,9 +32,8 @@ def numeric_fields() -> tuple[NumericField, ...]:
     fields = []
     for op, schema in request_schemas().items():
         for name, field in schema["properties"].items():
-            types = {option.get("type") for option in _options(field)}
-            if types & {"number", "integer"}:
-                fields.append(NumericField(op, name, "number" not in types))
+            if (kind := field.get("type")) in {"number", "integer"}:
+                fields.append(NumericField(op, name, kind == "integer"))
     return tuple(fields)
 
 
@@ -50,30 +44,12 @@ def minimal_request(op: str, **given: Any) -> dict[str, Any]:
     return {"op": op, **required, **given}
 
 
-def _resolve(schema: Any, definitions: Schema) -> Any:
-    if isinstance(schema, dict):
-        if "$ref" in schema:
-            return _resolve(definitions[schema["$ref"].rpartition("/")[2]], definitions)
-        return {key: _resolve(value, definitions) for key, value in schema.items()}
-    if isinstance(schema, list):
-        return [_resolve(value, definitions) for value in schema]
-    return schema
-
-
-def _options(field: Schema) -> list[Schema]:
-    options = field.get("anyOf") or field.get("oneOf")
-    return [field] if options is None else list(options)
-
-
 def _example(field: Schema) -> Any:
-    option = _options(field)[0]
-    if "const" in option or "enum" in option:
-        return option.get("const", (option.get("enum") or [None])[0])
-    low, high = option.get("minimum", option.get("exclusiveMinimum", -10)), option.get("maximum", 10)
-    kind = option.get("type")
+    low, high = field.get("minimum", field.get("exclusiveMinimum", -10)), field.get("maximum", 10)
+    kind = field["type"]
     if kind in {"number", "integer"}:
         return max(low, min(high, 1))
-    return {"string": "x", "boolean": True, "array": [], "object": {}}.get(str(kind))
+    return {"string": "x", "boolean": True, "object": {"x": 1.0}}[kind]
 
 
 class RequestMaker:
@@ -106,30 +82,25 @@ class RequestMaker:
         request: dict[str, Any] = {"op": op}
         for name, field in schema["properties"].items():
             if name != "op" and (name in schema.get("required", ()) or rng.random() < 0.6):
-                value = self._value(field, settings, name)
-                if value is not None:
-                    request[name] = value
+                request[name] = self._value(field, settings, name)
         try:
-            REQUESTS.validate_python(request)
+            read_request(request)
         except ValueError:  # such as neither of two, or both
             return self.of(op, settings)
         return request
 
     def _value(self, field: Schema, settings: AxisSettings, name: str) -> Any:
         rng = self._rng
-        option = rng.choice(_options(field))
-        if "const" in option or "enum" in option:
-            return option.get("const", rng.choice(option.get("enum") or [None]))
-        kind = option.get("type")
+        kind = field["type"]
         if kind == "boolean":
             return rng.random() < 0.5
         if kind == "integer":
-            low = option.get("minimum", 0)
-            return rng.randint(low, min(option.get("maximum", 1000), low + rng.choice((5, 10_000))))
+            low = field["minimum"]
+            return rng.randint(low, min(field["maximum"], low + rng.choice((5, 10_000))))
         if kind == "number":
             limits = settings.limits
             largest = limits.velocity if "velocity" in name else limits.position_maximum
             value: float = rng.uniform(-largest, largest) * rng.choice((0.001, 0.1, 1.0, 1.0, 1.05, 1e3))
-            positive = "exclusiveMinimum" in option or option.get("minimum", -1.0) >= 0.0
+            positive = "exclusiveMinimum" in field
             return abs(value) + 1e-9 if positive else value
-        return {"string": "x", "array": [], "object": {}}.get(str(kind))
+        return {"string": "x", "object": {"x": rng.uniform(-10.0, 10.0)}}[kind]

@@ -18,7 +18,7 @@ from tools.soak.configurations import drawn_by
 from tools.soak.encoder_watch import EncoderWatch
 from tools.soak.invariants import BrokenInvariantError, Invariants
 from tools.soak.service_mishaps import ServiceMishaps
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import read_request
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
@@ -206,7 +206,7 @@ class ServiceSoak:
         """Ask for something, and return whether it was carried out; what is neither that nor refused ends the soak."""
         self.requests += 1
         try:
-            answer = world.service.handle(REQUESTS.validate_python(request), client)
+            answer = world.service.handle(read_request(request), client)
         except (Refused, ValidationError):
             self.refusals += 1
             return False

@@ -1,79 +1,126 @@
 """The control socket's requests: one JSON object a line, told apart by ``op``."""
 
-from typing import Annotated, Any, Literal
+from dataclasses import dataclass, field
+from typing import ClassVar, Final, get_args
 
-from pydantic import Field, TypeAdapter, model_validator
+from twostage_servo.api.fields import Flag, JsonObject, Number, NumbersByName, Text, holds, kinds_of
 
-from twostage_servo.settings.base import Settings, quantity
+MOST_PROBLEMS: Final = 5
+"""Problems of a request that its refusal names."""
 
-Position = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
+_FARTHEST: Final = 1e9
+_POSITION: Final = Number(description="Absolute set-point", unit="axis unit", minimum=-_FARTHEST, maximum=_FARTHEST)
 
 
-class _Request(Settings):
-    """What all requests have in common."""
+class BadRequestError(ValueError):
+    """No request; the text says why, for whoever wrote it."""
 
-    @model_validator(mode="before")
-    @classmethod
-    def _no_null(cls, fields: Any) -> Any:
-        """Refuse null, which JSON writers make of NaN: a field left out means something else."""
-        for name, value in fields.items() if isinstance(fields, dict) else ():
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Request:
+    """What all requests have in common.
+
+    Raises
+    ------
+    BadRequestError
+        If a field does not hold what it should: what is wrong is told up to the fifth problem.
+    """
+
+    op: ClassVar[str]
+
+    def __post_init__(self) -> None:
+        problems: list[str] = []
+        for name, kind in kinds_of(type(self)).items():
+            value = getattr(self, name)
             if value is None:
-                raise ValueError(f"{name} is null: give it a value, or leave it out")
-        return fields
+                continue
+            if found := kind.problems(name, value):
+                problems += found
+            else:
+                object.__setattr__(self, name, kind.taken(value))
+        problems = problems or self._contradictions()
+        if problems:
+            raise BadRequestError("; ".join(problems[:MOST_PROBLEMS]))
+
+    def _contradictions(self) -> list[str]:
+        """Return what is wrong with fields that are right each by itself."""
+        return []
+
+    def to_json(self) -> JsonObject:
+        """Return the request as it is sent; what is left out has its default."""
+        fields = {name: value for name in kinds_of(type(self)) if (value := getattr(self, name)) is not None}
+        return {"op": self.op, **fields}
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class AxisRequest(_Request):
     """What is asked of an axis."""
 
-    axis: str | None = Field(
-        None, description="Name of the axis; absent for the only one, or for all where that makes sense", max_length=64
+    axis: str | None = field(
+        default=None,
+        metadata=holds(
+            Text(description="Name of the axis; absent for the only one, or for all where that makes sense", longest=64)
+        ),
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StatusRequest(AxisRequest):
     """Report the present state."""
 
-    op: Literal["status"]
+    op: ClassVar[str] = "status"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class WatchRequest(AxisRequest):
     """Send a snapshot every so many ticks, until the client closes."""
 
-    op: Literal["watch"]
-    every: int = quantity(10, unit="ticks", description="Ticks between two snapshots", ge=1, le=10_000)
+    op: ClassVar[str] = "watch"
+    every: int = field(
+        default=10,
+        metadata=holds(
+            Number(description="Ticks between two snapshots", unit="ticks", minimum=1, maximum=10_000, whole=True)
+        ),
+    )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingRequest(AxisRequest):
     """Send the recording of the trip, or of the last ticks."""
 
-    op: Literal["recording"]
+    op: ClassVar[str] = "recording"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ArmRequest(AxisRequest):
     """Enable the drive and hold."""
 
-    op: Literal["arm"]
+    op: ClassVar[str] = "arm"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class DisarmRequest(AxisRequest):
     """Come to rest and disable the drive."""
 
-    op: Literal["disarm"]
+    op: ClassVar[str] = "disarm"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class StopRequest(AxisRequest):
     """Come to rest and hold."""
 
-    op: Literal["stop"]
-    quick: bool = Field(default=False, description="With the quick stop deceleration")
+    op: ClassVar[str] = "stop"
+    quick: bool = field(default=False, metadata=holds(Flag(description="With the quick stop deceleration")))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ResetRequest(AxisRequest):
     """Clear a trip."""
 
-    op: Literal["reset"]
+    op: ClassVar[str] = "reset"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class MoveRequest(AxisRequest):
     """Take a set-point: `position` or, relative to the set-point in force, `by`; or one for several axes together.
 
@@ -81,58 +128,92 @@ class MoveRequest(AxisRequest):
     they arrive together.
     """
 
-    op: Literal["move"]
-    position: float | None = quantity(None, unit="axis unit", description="Absolute set-point", ge=-1e9, le=1e9)
-    by: float | None = quantity(None, unit="axis unit", description="Relative set-point", ge=-1e9, le=1e9)
-    velocity: float | None = quantity(
-        None, unit="axis unit/s", description="Cruise velocity; the axis' usual one if absent", gt=0.0, le=1e9
+    op: ClassVar[str] = "move"
+    position: float | None = field(default=None, metadata=holds(_POSITION))
+    by: float | None = field(
+        default=None,
+        metadata=holds(
+            Number(description="Relative set-point", unit="axis unit", minimum=-_FARTHEST, maximum=_FARTHEST)
+        ),
+    )
+    velocity: float | None = field(
+        default=None,
+        metadata=holds(
+            Number(
+                description="Cruise velocity; the axis' usual one if absent",
+                unit="axis unit/s",
+                above=0.0,
+                maximum=_FARTHEST,
+            )
+        ),
+    )
+    positions: dict[str, float] | None = field(
+        default=None,
+        metadata=holds(NumbersByName(description="Absolute set-points by the axes' names", number=_POSITION, most=64)),
     )
 
-    positions: dict[str, Position] | None = Field(
-        None, description="Absolute set-points by the axes' names", min_length=1, max_length=64
-    )
-
-    @model_validator(mode="after")
-    def _one_set_point(self) -> "MoveRequest":
+    def _contradictions(self) -> list[str]:
         if (self.position, self.by, self.positions).count(None) != 2:
-            raise ValueError("give either position or by, or positions for several axes")
+            return ["give either position or by, or positions for several axes"]
         if self.positions is not None and self.axis is not None:
-            raise ValueError("positions names its axes; leave axis out")
-        return self
+            return ["positions names its axes; leave axis out"]
+        return []
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class JogRequest(AxisRequest):
     """Move for as long as this is asked for again within the jog time-out."""
 
-    op: Literal["jog"]
-    velocity: float = quantity(unit="axis unit/s", description="Velocity, whose sign is the direction", ge=-1e9, le=1e9)
-
-
-class HomeRequest(AxisRequest):
-    """Look for the reference as ``[axis.homing]`` says; with `position`, say where the axis stands now."""
-
-    op: Literal["home"]
-    position: float | None = quantity(
-        None, unit="axis unit", description="Position of the place where the axis stands", ge=-1e9, le=1e9
+    op: ClassVar[str] = "jog"
+    velocity: float = field(
+        metadata=holds(
+            Number(
+                description="Velocity, whose sign is the direction",
+                unit="axis unit/s",
+                minimum=-_FARTHEST,
+                maximum=_FARTHEST,
+            )
+        )
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HomeRequest(AxisRequest):
+    """Look for the reference as ``[axis.homing]`` says; with `position`, say where the axis stands now."""
+
+    op: ClassVar[str] = "home"
+    position: float | None = field(
+        default=None,
+        metadata=holds(
+            Number(
+                description="Position of the place where the axis stands",
+                unit="axis unit",
+                minimum=-_FARTHEST,
+                maximum=_FARTHEST,
+            )
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReleaseRequest(_Request):
     """Give the lease back."""
 
-    op: Literal["release"]
+    op: ClassVar[str] = "release"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TakeRequest(_Request):
     """Take the lease, also from another client while the axis is at rest."""
 
-    op: Literal["take"]
+    op: ClassVar[str] = "take"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ReloadRequest(_Request):
     """Read the configuration again, while the axis is disarmed."""
 
-    op: Literal["reload"]
+    op: ClassVar[str] = "reload"
 
 
 Request = (
@@ -151,7 +232,8 @@ Request = (
     | ReloadRequest
 )
 
+OPERATIONS: Final[dict[str, type[Request]]] = {one.op: one for one in get_args(Request)}
+"""The requests by what they are told apart by."""
+
 READING = (StatusRequest, WatchRequest, RecordingRequest)
 """Requests that change nothing, and are open to everybody."""
-
-REQUESTS: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="op")])

@@ -11,9 +11,8 @@ from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pydantic import ValidationError
-
-from twostage_servo.api.requests import REQUESTS
+from twostage_servo.api.request_reading import parse_request
+from twostage_servo.api.requests import BadRequestError
 from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import Refused
@@ -230,8 +229,8 @@ class World:
         if self.companions and '"op": "reload"' not in line:
             line = f'{line.rstrip()[:-1]}, "axis": {json.dumps(self.station.name)}}}'
         try:
-            self.service.handle(REQUESTS.validate_json(line), client)
-        except ValidationError:
+            self.service.handle(parse_request(line.encode()), client)
+        except BadRequestError:
             return "bad_request"
         except Refused as refused:
             return refused.code

@@ -23,11 +23,10 @@ from twostage_servo.api.request_reading import (
     COMMAND_WORDS,
     LONGEST_URGENT,
     URGENT_WORDS,
-    BadRequestError,
     longest_line,
     parse_request,
 )
-from twostage_servo.api.requests import Request, WatchRequest
+from twostage_servo.api.requests import BadRequestError, Request, WatchRequest
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.service import answers
 from twostage_servo.service.connection import Connection, wake

@@ -105,7 +105,7 @@ class RequestHandler:
         if not (isinstance(request, ReloadRequest) and self._service.desk.is_prepared(asker.peer)):
             self._check_age(request, asker)
         if not isinstance(request, JogRequest):  # a jog is asked for several times a second
-            self._log.info("request", peer=asker.peer, **request.model_dump(exclude_none=True))
+            self._log.info("request", peer=asker.peer, **request.to_json())
         before = self._stands()
         try:
             self._service.desk.carry_out(request, asker.peer)
