@@ -207,10 +207,10 @@ def test_the_service_counts_each_of_them_and_does_nothing_else() -> None:
 
     expected = len(bad)
     bench.run(prepare)
-    counters = bench.station.port.link.counters
+    counters = bench.axis_loop.bus.link.counters
     assert counters.rejected_by_reason == {"reserved_value": expected}
     assert bench.position == 0.0
-    assert bench.station.axis.drive.position == 0.0
+    assert bench.axis_loop.axis.drive.position == 0.0
 
 
 def float_profile(folder: Path, length: int, limits: str) -> DriveProfile:

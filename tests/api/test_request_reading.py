@@ -18,8 +18,8 @@ from tests.service.rig import World
 from twostage_servo.api.request_reading import LONGEST_LINE, longest_line, parse_request
 from twostage_servo.api.requests import BadRequestError, DisarmRequest, MoveRequest, Request, StopRequest
 from twostage_servo.axis.state import State
+from twostage_servo.service.background_server import Priority, priority_of
 from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.turns import Rank, rank_of
 
 values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
@@ -108,18 +108,18 @@ def test_what_is_nested_deeply_is_refused(depth: int) -> None:
 @pytest.mark.parametrize(
     ("line", "rank"),
     [
-        (b'{"op":"stop"}', Rank.URGENT),
-        (b'{"quick":true,"op":"stop"}', Rank.URGENT),
-        (b'{"op":"disarm","axis":"x"}', Rank.URGENT),
-        (b'{"op":"\\u0073top"}', Rank.URGENT),
-        (b'{"op":"status","axis":"stop"}', Rank.REQUEST),
-        (b'{"op":"move","positions":{"stop":1}}', Rank.REQUEST),
+        (b'{"op":"stop"}', Priority.URGENT),
+        (b'{"quick":true,"op":"stop"}', Priority.URGENT),
+        (b'{"op":"disarm","axis":"x"}', Priority.URGENT),
+        (b'{"op":"\\u0073top"}', Priority.URGENT),
+        (b'{"op":"status","axis":"stop"}', Priority.REQUEST),
+        (b'{"op":"move","positions":{"stop":1}}', Priority.REQUEST),
     ],
 )
-def test_a_request_is_as_urgent_as_what_it_asks_for(line: bytes, rank: Rank) -> None:
+def test_a_request_is_as_urgent_as_what_it_asks_for(line: bytes, rank: Priority) -> None:
     request = parse_request(line)
-    assert rank_of(request) is rank
-    assert isinstance(request, StopRequest | DisarmRequest) == (rank is Rank.URGENT)
+    assert priority_of(request) is rank
+    assert isinstance(request, StopRequest | DisarmRequest) == (rank is Priority.URGENT)
 
 
 @pytest.mark.parametrize(
@@ -141,25 +141,25 @@ def test_a_key_that_is_given_twice_is_refused_by_its_name(tmp_path: Path, line: 
 
 
 def test_lines_that_only_speak_of_a_stop_take_no_urgent_turn(tmp_path: Path) -> None:
-    ranks: list[Rank] = []
+    ranks: list[Priority] = []
 
     async def script(world: World, _: ControlSocket) -> None:
-        turn = world.service.turns.turn
+        turn = world.service.background.slot
 
         @contextlib.asynccontextmanager
-        async def noted(rank: Rank) -> AsyncIterator[None]:
+        async def noted(rank: Priority) -> AsyncIterator[None]:
             ranks.append(rank)
             async with turn(rank):
                 yield
 
         operator = await connect(tmp_path / "s")
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(world.service.turns, "turn", noted)
+            patch.setattr(world.service.background, "slot", noted)
             assert await operator.refused(op="status", axis="stop") == "which_axis"
             assert (await operator.send(b'{"op":"stop","k":1}'))["error"]["code"] == "bad_request"
             assert (await operator.send(b'"stop" "disarm"'))["error"]["code"] == "bad_request"
-        assert Rank.URGENT not in ranks
-        assert Rank.READING in ranks
+        assert Priority.URGENT not in ranks
+        assert Priority.READING in ranks
 
     serve(tmp_path / "s", script)
 

@@ -44,15 +44,15 @@ def test_axes_of_one_channel_share_its_bus_and_all_of_them_the_machines_tick(tmp
     machine = load_machine(path)
     service = build_service(machine)
     assert service.ticks.period_s == pytest.approx(0.005)
-    assert [station.name for station in service.stations] == ["x", "y", "z"]
-    assert [[station.name for station in port.stations] for port in service.ports] == [["x", "y"], ["z"]]
-    assert [port.link.settings.channel for port in service.ports] == ["can0", "can1"]
-    for station in service.stations:
-        assert station.axis.design.period_s == pytest.approx(0.005)
-        assert station.port in service.ports
+    assert [axis_loop.name for axis_loop in service.axis_loops] == ["x", "y", "z"]
+    assert [[axis_loop.name for axis_loop in bus.axis_loops] for bus in service.buses] == [["x", "y"], ["z"]]
+    assert [bus.link.settings.channel for bus in service.buses] == ["can0", "can1"]
+    for axis_loop in service.axis_loops:
+        assert axis_loop.axis.design.period_s == pytest.approx(0.005)
+        assert axis_loop.bus in service.buses
         for index in range(400):
-            station.recorder.add(record(index))
-        assert len(station.recorder.records()) == 300
+            axis_loop.recorder.add(record(index))
+        assert len(axis_loop.recorder.records()) == 300
 
 
 def test_a_bus_that_is_given_takes_the_place_of_the_configured_ones(tmp_path: Path) -> None:
@@ -64,11 +64,11 @@ def test_a_bus_that_is_given_takes_the_place_of_the_configured_ones(tmp_path: Pa
         raise can.CanError("no bus")
 
     service = build_service(machine, BUS, opener)
-    (port,) = service.ports
-    assert port.link.settings is BUS
-    assert [station.name for station in port.stations] == ["x", "y", "z"]
+    (bus,) = service.buses
+    assert bus.link.settings is BUS
+    assert [axis_loop.name for axis_loop in bus.axis_loops] == ["x", "y", "z"]
     with pytest.raises(Exception, match="no bus"):
-        port.link.open()
+        bus.link.open()
     assert opened == [BUS]
 
 
@@ -121,7 +121,7 @@ def test_a_drive_with_a_rhythm_of_its_own_is_dated_by_its_frames(
             ages.append(feedback.age_s)
             take(feedback)
 
-        monkeypatch.setattr(world.station.port.link, "age_s", lambda _: 0.004)
+        monkeypatch.setattr(world.axis_loop.bus.link, "age_s", lambda _: 0.004)
         monkeypatch.setattr(world.axis, "take_feedback", noted)
         await world.seconds(0.1)
 

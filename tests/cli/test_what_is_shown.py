@@ -33,12 +33,12 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Snapshots:
         world.wire.disturb = lambda sender, message, _: [] if sender == "drive" else [(0.0, message)]
         await world.seconds(0.1)
         tell("silent", world)
-        world.station.port.error = "socketcan can0 cannot be opened: Network is down."
+        world.axis_loop.bus.error = "socketcan can0 cannot be opened: Network is down."
         world.axis.drive.forget()
         tell("closed", world)
-        world.station.port.error = None
+        world.axis_loop.bus.error = None
         world.wire.disturb = None
-        world.station.reporter.trip_files = TripFiles(folder / "file" / "trips")
+        world.axis_loop.event_log.trip_files = TripFiles(folder / "file" / "trips")
         await world.armed()
         world.axis.raise_trip(TripCode.SPEED_UNREACHABLE, "it does not come to that")
         world.axis.raise_trip(TripCode.DRIVE_FAULT, "the drive reports fault code 7")

@@ -16,7 +16,7 @@ from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.limits import Motion
 from twostage_servo.faults.table import BRAKED, TABLE, Phase
 from twostage_servo.faults.world import World
-from twostage_servo.service.group import Group
+from twostage_servo.service.axis_group import AxisGroup
 from twostage_servo.service.log import open_log
 
 pytestmark = pytest.mark.long
@@ -215,7 +215,7 @@ def test_the_others_do_what_the_machine_says(policy: str, axis: str) -> None:
 
 
 def test_an_axis_that_goes_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Group, "react", lambda *_: None)
+    monkeypatch.setattr(AxisGroup, "react", lambda *_: None)
     (cell,) = cells(Campaign(load_machine(configuration("two_axes")), 1, "x"), 26, Phase.CRUISING)
     assert (cell.met, cell.wrong) == (False, "axis y is jogging, not holding")
 

@@ -14,8 +14,8 @@ from twostage_servo.axis.state import State
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import load
 from twostage_servo.drives.dbc.profile import Command
-from twostage_servo.service.loop import ServoService
-from twostage_servo.service.station import Station
+from twostage_servo.service.axis_loop import AxisLoop
+from twostage_servo.service.servo_service import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -49,7 +49,7 @@ class World:
     """What a script can look at and act on."""
 
     service: ServoService
-    station: Station
+    axis_loop: AxisLoop
     drive: SimulatedDrive
     wire: Wire
     ticks: BusyTicks
@@ -58,14 +58,14 @@ class World:
 
     @property
     def axis(self) -> Axis:
-        return self.station.axis
+        return self.axis_loop.axis
 
     def state(self) -> State:
         return self.axis.state
 
     def sent(self) -> list[tuple[int, Command]]:
         """The commands as they stood on the bus, each with its tick."""
-        profile = self.station.profile
+        profile = self.axis_loop.profile
         return [
             (tick, profile.decode_command(can.Message(arbitration_id=identifier, is_extended_id=False, data=data)))
             for tick, direction, identifier, data in self.trace
@@ -114,17 +114,17 @@ def simulate(
         wire = Wire(loop.time)
         service = build_service(loaded, bus, lambda _: opener(wire))
         service.ticks = ticks = BusyTicks(service.ticks.period_s)
-        station = service.station()
-        drive = SimulatedDrive(loaded.config.simulation, station.profile, loop.time())
-        link = Link(BUS, station.profile.drive_identifiers, functools.partial(wire.attach, "drive"))
+        axis_loop = service.axis_loop()
+        drive = SimulatedDrive(loaded.config.simulation, axis_loop.profile, loop.time())
+        link = Link(BUS, axis_loop.profile.drive_identifiers, functools.partial(wire.attach, "drive"))
         node = DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3)
         driving = asyncio.create_task(node.run())
-        world = World(service, station, drive, wire, ticks, asyncio.create_task(service.run()))
+        world = World(service, axis_loop, drive, wire, ticks, asyncio.create_task(service.run()))
 
         def observe(tick: int, direction: str, identifier: int, data: bytes) -> None:
             world.trace.append((tick, direction, identifier, data))
 
-        station.port.observers.append(observe)
+        axis_loop.bus.observers.append(observe)
         try:
             return await script(world)
         finally:

@@ -49,7 +49,7 @@ def flood(world: World, frames_a_tick: int) -> None:
 
 
 def most(world: World) -> int:
-    return world.station.port.link.settings.frames_read(world.service.ticks.period_s)
+    return world.axis_loop.bus.link.settings.frames_read(world.service.ticks.period_s)
 
 
 @EVERY_BUS
@@ -150,7 +150,7 @@ def test_what_is_read_after_a_long_stall_is_bounded() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         asked = []
-        link = world.station.port.link
+        link = world.axis_loop.bus.link
         drain = link.drain
 
         def counted(most: int | None = None) -> list[can.Message]:
@@ -192,18 +192,18 @@ def test_a_dated_frame_that_has_lain_there_unread_is_not_fresh() -> None:
 def test_a_heartbeat_from_a_backlog_is_no_sign_of_life() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        link: Link = world.station.port.link
-        profile, drive = world.station.profile, world.axis.drive
+        link: Link = world.axis_loop.bus.link
+        profile, drive = world.axis_loop.profile, world.axis.drive
         assert profile.heartbeat_id is not None
         drive._ticks_since_heartbeat, boots = 5, drive.boots
         data = profile.encode_heartbeat(Heartbeat(0, (drive._boot_counter or 0) + 1))
         message = can.Message(arbitration_id=profile.heartbeat_id.identifier, is_extended_id=False, data=data)
         link.is_behind = True
-        world.station.take(message)
+        world.axis_loop.take(message)
         assert drive._ticks_since_heartbeat == 5
         assert drive.boots == boots + 1  # which it does tell
         link.is_behind, message.timestamp = False, asyncio.get_running_loop().time()
-        world.station.take(message)
+        world.axis_loop.take(message)
         assert drive._ticks_since_heartbeat == 0
 
     simulate(script)

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from tests.service.operators import STATUS, call, connect, read_all, serve
 from tests.service.rig import World
 from twostage_servo.axis.state import State
+from twostage_servo.service.background_server import Priority
 from twostage_servo.service.control_socket import ControlSocket, _Door
-from twostage_servo.service.turns import Rank
 
 
 def descriptors() -> int:
@@ -176,17 +176,17 @@ def test_a_stop_that_was_read_is_carried_out_though_its_connection_has_to_make_r
         await operator.done(op="release")
         stopping = await connect(path)
         await stopping.done(op="status")
-        turn = world.service.turns.turn
+        turn = world.service.background.slot
 
         @contextlib.asynccontextmanager
-        async def never(rank: Rank) -> AsyncIterator[None]:
-            if rank is Rank.URGENT:
+        async def never(rank: Priority) -> AsyncIterator[None]:
+            if rank is Priority.URGENT:
                 await asyncio.Event().wait()
             async with turn(rank):
                 yield
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(world.service.turns, "turn", never)
+            patch.setattr(world.service.background, "slot", never)
             stopping.writer.write(b'{"op": "stop"}\n')
             await world.seconds(0.05)
             assert world.state() is not State.STOPPING

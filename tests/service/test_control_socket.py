@@ -27,9 +27,9 @@ from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import State
 from twostage_servo.service import answers
 from twostage_servo.service.answers import encode
+from twostage_servo.service.background_server import Priority
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, _Door
 from twostage_servo.service.request_handler import Asker, Reply
-from twostage_servo.service.turns import Rank
 from twostage_servo.telemetry.recorder import Record, Recorder
 
 
@@ -179,7 +179,7 @@ def test_of_many_that_connect_at_once_some_are_let_in_between_two_looks_at_the_c
 
 def test_clients_are_let_in_when_it_is_their_turn(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
-        async with world.service.turns.turn(Rank.REQUEST):  # somebody else has it
+        async with world.service.background.slot(Priority.REQUEST):  # somebody else has it
             newcomer = await connect(path)
             asking = asyncio.create_task(newcomer.ask(op="status"))
             await world.seconds(0.005)
@@ -213,7 +213,7 @@ def test_who_cannot_be_let_in_is_told_to_the_log_and_let_in_later(path: Path, mo
 def test_the_end_waits_for_nobody_who_waits_to_be_let_in(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
         stack = contextlib.AsyncExitStack()
-        await stack.enter_async_context(world.service.turns.turn(Rank.REQUEST))
+        await stack.enter_async_context(world.service.background.slot(Priority.REQUEST))
         newcomers = [await connect(path) for _ in range(3)]
         await world.seconds(0.005)
         await control.stop()
@@ -245,7 +245,7 @@ def test_idle_clients_make_room_for_whoever_wants_to_stop(path: Path) -> None:
             assert await client.reader.read() == b""
         await world.seconds(0.1)
         assert len(control._connections) == 64
-        assert world.service.desk.lease.holder is not None  # the operator has not gone
+        assert world.service.desk.authority.holder is not None  # the operator has not gone
         assert (await idle[0].ask(op="status"))["ok"]
         assert any(client.every for client in control._connections)  # nor has the watcher, who reads
 
@@ -261,21 +261,21 @@ def test_a_client_that_was_told_to_go_moves_nothing_but_may_stop(path: Path, op:
         if op == "stop":
             assert (await client.ask(op="move", position=100.0))["ok"]
         assert (await client.ask(op="release"))["ok"]  # whoever commands need not make room
-        turn = world.service.turns.turn
+        turn = world.service.background.slot
 
         @contextlib.asynccontextmanager
-        async def late_turn(rank: Rank) -> AsyncIterator[None]:
+        async def late_turn(rank: Priority) -> AsyncIterator[None]:
             async with turn(rank):
-                if rank is not Rank.READING:
+                if rank is not Priority.READING:
                     control._make_room()  # while it waited for its turn
                 yield
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(world.service.turns, "turn", late_turn)
+            patch.setattr(world.service.background, "slot", late_turn)
             client.writer.write(encode({"op": op} | ({"position": 50.0} if op == "move" else {})))
             await world.seconds(0.03)
         assert world.state() is state
-        assert world.service.desk.lease.holder is None
+        assert world.service.desk.authority.holder is None
 
     serve(path, script)
 

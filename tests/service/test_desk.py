@@ -41,25 +41,25 @@ class WrittenDown:
 
 
 class Service:
-    """Two axes, each on its own port."""
+    """Two axes, each on its own bus."""
 
     def __init__(self) -> None:
         self.axes = {name: WrittenDown(name) for name in ("x", "y")}
         self.discarded: list[str] = []
-        self.stations: list[Any] = [self._station(name, axis) for name, axis in self.axes.items()]
+        self.axis_loops: list[Any] = [self._axis_loop(name, axis) for name, axis in self.axes.items()]
         self.settings = SimpleNamespace(holder_lost="continue")
         self.is_ending = False
         self.failed: list[Exception] = []
         self.desk = Desk(self)  # type: ignore[arg-type]
 
-    def _station(self, name: str, axis: WrittenDown) -> Any:
+    def _axis_loop(self, name: str, axis: WrittenDown) -> Any:
         recorder = SimpleNamespace(records=lambda: [f"of {name}"], discard=lambda: self.discarded.append(name))
-        return SimpleNamespace(name=name, axis=axis, port=SimpleNamespace(error=None), recorder=recorder)
+        return SimpleNamespace(name=name, axis=axis, bus=SimpleNamespace(error=None), recorder=recorder)
 
-    def station(self, name: str | None) -> Any:
+    def axis_loop(self, name: str | None) -> Any:
         if name is None:
             raise KeyError(name)
-        return next((one for one in self.stations if one.name == name), None) or self.station(None)
+        return next((one for one in self.axis_loops if one.name == name), None) or self.axis_loop(None)
 
     def snapshot(self, name: str | None) -> dict[str, Any]:
         return {"of": name}
@@ -134,7 +134,7 @@ def test_reading_is_of_the_axis_that_is_named() -> None:
     assert service.ask(op="recording", axis="y")["records"] == ["of y"]
     assert service.refusal(op="recording")[0] == "which_axis"
     assert service.refusal(op="status", axis="z")[0] == "which_axis"
-    assert service.desk.lease.holder is None
+    assert service.desk.authority.holder is None
 
 
 # All or none ---------------------------------------------------------------------------------------------------------
@@ -169,7 +169,7 @@ def test_what_one_axis_refuses_none_does(op: str, check: str) -> None:
 
 def test_no_axis_is_armed_whose_bus_is_closed() -> None:
     service = Service()
-    service.stations[1].port.error = "no carrier"
+    service.axis_loops[1].bus.error = "no carrier"
     assert service.refusal(op="arm") == ("bus_closed", "axis y: the bus is not open: no carrier")
     assert service.told() == {"x": [("check_arming",)]}
 
@@ -214,9 +214,9 @@ def test_one_client_commands_and_everybody_may_stop_and_disarm(op: str) -> None:
     for free in ("stop", "disarm", "status"):
         service.ask("another", op=free)
     service.ask("one", op="release")
-    assert service.desk.lease.holder is None
+    assert service.desk.authority.holder is None
     service.ask("another", op="arm")
-    assert service.desk.lease.holder == "another"
+    assert service.desk.authority.holder == "another"
 
 
 @pytest.mark.parametrize("state", list(State))
@@ -227,7 +227,7 @@ def test_the_lease_may_be_taken_while_every_axis_is_at_rest(state: State) -> Non
     at_rest = {State.DISARMED, State.ARMING, State.HOLDING, State.TRIPPED}
     if state in at_rest:
         service.ask("another", op="take")
-        assert service.desk.lease.holder == "another"
+        assert service.desk.authority.holder == "another"
     else:
         assert service.refusal("another", op="take")[0] == "busy"
 
@@ -253,7 +253,7 @@ def test_when_the_client_that_commands_has_gone(policy: str, state: State) -> No
         assert logs == [{"event": event, "log_level": "warning", "axis": "y", "client": "one", "policy": policy}]
     else:
         assert axis.told == []
-    assert service.desk.lease.holder is None
+    assert service.desk.authority.holder is None
 
 
 # The end, and defects ------------------------------------------------------------------------------------------------

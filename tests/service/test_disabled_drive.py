@@ -226,7 +226,7 @@ def test_it_is_told_after_the_bus_has_come_back() -> None:
         await world.seconds(3.0)
         assert codes(world) == ["bus_failed"]  # nobody hears it, so nothing is known of it
         world.wire.node("service").receive_error = None
-        await world.until(lambda: world.station.port.error is None)
+        await world.until(lambda: world.axis_loop.bus.error is None)
         await world.seconds(1.0)
         assert codes(world) == ["bus_failed", "drive_not_disabled"]
 
@@ -239,7 +239,7 @@ def test_what_is_known_outlives_the_bus() -> None:
         await world.until(lambda: world.axis.trip is not None)
         world.wire.node("service").receive_error = OSError(100, "Network is down")
         await world.seconds(3.0)
-        assert world.station.port.error is not None
+        assert world.axis_loop.bus.error is not None
         with pytest.raises(Refused, match="told to disable"):
             ask(world, op="reset")
 

@@ -171,14 +171,14 @@ def test_one_that_comes_before_the_first_tick_ends_the_service() -> None:
 def test_one_that_comes_while_the_bus_does_not_open_ends_the_service(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         signals.call(world.service.shut_down, asyncio.get_running_loop())
-        world.station.port.link.close()
-        world.station.port.error = "lost"
+        world.axis_loop.bus.link.close()
+        world.axis_loop.bus.error = "lost"
 
         async def slowly() -> None:
             await asyncio.sleep(1e6)
 
-        monkeypatch.setattr(world.station.port.link, "open_in_thread", slowly)
-        world.station.port.start()
+        monkeypatch.setattr(world.axis_loop.bus.link, "open_in_thread", slowly)
+        world.axis_loop.bus.start()
         await world.seconds(1.0)
         signal.raise_signal(signal.SIGHUP)
         await world.until(world.serving.done)

@@ -19,10 +19,10 @@ QUICK_STOP_TICKS = 100.0 / 4000.0 / 0.01
 
 # Where in the tick the defect shows: the part of the service, and what it calls there.
 PLACES: dict[str, Callable[[World], tuple[Any, str]]] = {
-    "read": lambda world: (world.station.receiver, "take"),
+    "read": lambda world: (world.axis_loop.receiver, "take"),
     "update": lambda world: (world.axis, "step"),
-    "write": lambda world: (world.station.profile, "encode_command"),
-    "publish": lambda world: (world.station.recorder, "add"),
+    "write": lambda world: (world.axis_loop.profile, "encode_command"),
+    "publish": lambda world: (world.axis_loop.recorder, "add"),
 }
 
 
@@ -80,7 +80,7 @@ def test_a_defect_in_mid_move_is_a_quick_stop_and_comes_out(monkeypatch: pytest.
         efforts = [command.effort for command in commands if command.enable]
         steps = [abs(after - before) for before, after in itertools.pairwise(efforts)]
         assert max(steps) <= 2.0 * RATE_A_TICK + QUANTUM  # a tick may be missing between two
-        assert not world.station.port.link.is_open
+        assert not world.axis_loop.bus.link.is_open
 
     simulate(script)
 
@@ -98,7 +98,7 @@ def test_a_second_defect_disables_at_once(monkeypatch: pytest.MonkeyPatch, place
         await world.seconds(0.005)
         assert not world.drive.enabled
         assert world.drive.fault_code == 0
-        assert not world.station.port.link.is_open
+        assert not world.axis_loop.bus.link.is_open
 
     simulate(script)
 
@@ -109,7 +109,7 @@ def test_commands_that_cannot_be_made_any_more_leave_the_stop_to_the_drive(monke
         breaking(monkeypatch, *PLACES["write"](world), times=float("inf"))
         with pytest.raises(DefectError):
             await world.serving
-        assert not world.station.port.link.is_open
+        assert not world.axis_loop.bus.link.is_open
         await world.seconds(0.2)
         assert not world.drive.enabled
         assert world.drive.counters.command_timeouts == 1

@@ -15,9 +15,9 @@ import structlog
 from tests.service.operators import Json, connect, serve
 from tests.service.rig import World
 from twostage_servo.axis.state import State
+from twostage_servo.service.background_server import Priority
 from twostage_servo.service.control_socket import _BACKLOG, ControlSocket, _Door
 from twostage_servo.service.request_age import RequestAge, time_asleep_s
-from twostage_servo.service.turns import Rank
 from twostage_servo.timing.virtual_clock import VirtualClockLoop, run
 
 FREEZE_S = 8.0
@@ -67,7 +67,7 @@ def test_what_was_asked_while_the_service_stood_still_is_not_carried_out_when_no
         await world.seconds(1.0)
         assert world.state() is State.DISARMED
         assert not world.drive.enabled
-        assert world.service.desk.lease.holder is None
+        assert world.service.desk.authority.holder is None
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
@@ -115,7 +115,7 @@ def test_what_brings_the_axis_to_rest_is_carried_out_however_old_and_whoever_has
         await world.until(lambda: world.state() is State.HOLDING)
         await operator.done(op="move", position=400.0)
         await world.seconds(1.0)
-        async with world.service.turns.turn(Rank.REQUEST):  # the service is busy for long, and the axis goes on
+        async with world.service.background.slot(Priority.REQUEST):  # the service is busy, and the axis goes on
             caller = call(callers, path, {"op": op})
             if how == "half-closed":
                 caller.shutdown(socket.SHUT_WR)
@@ -140,7 +140,7 @@ def test_a_command_that_waited_behind_others_for_long_has_expired(
         await operator.done(op="arm")
         await world.until(lambda: world.state() is State.HOLDING)
         await operator.done(op="release")
-        async with world.service.turns.turn(Rank.REQUEST):
+        async with world.service.background.slot(Priority.REQUEST):
             caller = call(callers, path, {"op": "move", "position": 50.0})
             await world.seconds(0.02 if gone else 1.5)
             if gone:
@@ -156,7 +156,7 @@ def test_a_command_that_waited_behind_others_for_long_has_expired(
 
 def test_a_command_that_waited_for_less_is_carried_out(path: Path, callers: contextlib.ExitStack) -> None:
     async def script(world: World, _: ControlSocket) -> None:
-        async with world.service.turns.turn(Rank.REQUEST):
+        async with world.service.background.slot(Priority.REQUEST):
             caller = call(callers, path, {"op": "arm"})
             await world.seconds(0.9)
         await world.seconds(0.5)

@@ -14,8 +14,8 @@ from tests.service.operators import connect, serve
 from tests.service.rig import BUS, World, simulate
 from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.canbus.link import Link, LinkError
+from twostage_servo.service.bus_connection import BusConnection
 from twostage_servo.service.control_socket import ControlSocket, _Door
-from twostage_servo.service.port import Port
 from twostage_servo.telemetry.trip_files import TripFiles
 from twostage_servo.timing.ticks import Tick
 
@@ -103,8 +103,8 @@ def test_a_recording_for_which_there_is_no_memory_is_told(
     async def script(world: World) -> None:
         await world.armed()
         if to_a_file:
-            world.station.reporter.trip_files = TripFiles(tmp_path)
-        monkeypatch.setattr(type(world.station.recorder), "keep", none_left)
+            world.axis_loop.event_log.trip_files = TripFiles(tmp_path)
+        monkeypatch.setattr(type(world.axis_loop.recorder), "keep", none_left)
         world.axis.raise_trip(TripCode.JAM, "test")
         await world.seconds(0.1)
         error = world.service.snapshot()["trip"]["file_error"]
@@ -132,13 +132,13 @@ def test_what_a_bus_loses_is_told_once_a_second_with_what_is_new_and_the_total(m
     link = Link(BUS, [])
     monkeypatch.setattr(link, "check", lambda: None)
     with structlog.testing.capture_logs() as logs:
-        port = Port(link, [], 0.01)
-        port.error = None
-        port.publish(tick(0))
+        bus = BusConnection(link, [], 0.01)
+        bus.error = None
+        bus.publish(tick(0))
         for second, total in ((1, 3), (2, 3), (3, 10)):
             link.counters.rejected = link.counters.overflowed = link.counters.overruns = total
-            port.publish(tick(100 * second - 1))
-            port.publish(tick(100 * second))
+            bus.publish(tick(100 * second - 1))
+            bus.publish(tick(100 * second))
     common = {"log_level": "warning", "bus": "can0"}
     counted = [{"tick": 100, "new": 3, "total": 3}, {"tick": 300, "new": 7, "total": 10}]
     full = "the bus brings more frames than a tick reads: what comes behind them does not count as fresh"
@@ -155,14 +155,14 @@ def test_a_controller_that_changes_its_state_is_told_at_once(monkeypatch: pytest
     link = Link(BUS, [])
     monkeypatch.setattr(link, "check", lambda: None)
     with structlog.testing.capture_logs() as logs:
-        port = Port(link, [], 0.01)
-        port.error = None
-        port.publish(tick(0))
+        bus = BusConnection(link, [], 0.01)
+        bus.error = None
+        bus.publish(tick(0))
         link.controller_state, link.error_counters = "passive", (128, 7)
-        port.publish(tick(1))
-        port.publish(tick(2))
+        bus.publish(tick(1))
+        bus.publish(tick(2))
         link.controller_state, link.error_counters = "active", None
-        port.publish(tick(3))
+        bus.publish(tick(3))
     common = {"event": "bus controller", "log_level": "warning", "bus": "can0"}
     assert logs == [
         {**common, "tick": 1, "state": "passive", "error_counters": (128, 7)},
@@ -173,20 +173,20 @@ def test_a_controller_that_changes_its_state_is_told_at_once(monkeypatch: pytest
 def test_a_bus_that_fails_and_comes_back_is_told_without_repetition(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        port = world.station.port
+        bus = world.axis_loop.bus
         answers = [LinkError("no such device")] * 3 + [LinkError("permission denied")]
-        opened = port.link.open_in_thread
+        opened = bus.link.open_in_thread
 
         async def open_in_thread() -> None:
             if answers:
                 raise answers.pop(0)
             await opened()
 
-        monkeypatch.setattr(port.link, "open_in_thread", open_in_thread)
-        port._lose(LinkError("network is down"))
+        monkeypatch.setattr(bus.link, "open_in_thread", open_in_thread)
+        bus._lose(LinkError("network is down"))
         await world.seconds(10.0)
         assert answers == []
-        assert port.error is None
+        assert bus.error is None
 
     with structlog.testing.capture_logs() as logs:
         simulate(script)

@@ -35,7 +35,7 @@ def test_a_service_that_ends_says_once_in_which_states() -> None:
 def test_a_drive_that_could_not_be_told_to_disable_is_told_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        monkeypatch.setattr(world.station.port.link, "send", lambda _: False)
+        monkeypatch.setattr(world.axis_loop.bus.link, "send", lambda _: False)
         world.service.shut_down()
         await world.serving
 
@@ -55,7 +55,7 @@ def test_a_defect_in_a_request_ends_the_service_and_is_told_to_log_and_client() 
             raise defect
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(type(world.station.recorder), "records", lambda _: broken())
+            patch.setattr(type(world.axis_loop.recorder), "records", lambda _: broken())
             with pytest.raises(Refused, match="RuntimeError: a defect; the service is stopping") as refused:
                 world.service.handle(RecordingRequest())
         assert refused.value.code == "internal_error"
@@ -81,7 +81,7 @@ def test_that_the_holder_has_gone_is_told_where_it_changes_something(tmp_path: P
         await operator.done(op="arm")
         await world.until(lambda: world.state() is State.HOLDING)
         await operator.done(op="move", position=400.0)
-        peers.append(world.service.desk.lease.holder)
+        peers.append(world.service.desk.authority.holder)
         operator.die()
         await world.seconds(0.1)
 

@@ -22,8 +22,8 @@ def sent_after_s(offset: FixedOffset | None) -> list[float]:
         assert isinstance(loop, HostLoop)
         wire = Wire(loop.time)
         service = build_service(load(None), BUS, lambda _: wire.attach("service"))
-        station = service.station()
-        work, decide = itertools.cycle(WORK_S), station.update
+        axis_loop = service.axis_loop()
+        work, decide = itertools.cycle(WORK_S), axis_loop.update
         sent_s: dict[int, float] = {}
         due_s: dict[int, float] = {}
 
@@ -35,8 +35,8 @@ def sent_after_s(offset: FixedOffset | None) -> list[float]:
             assert direction == "sent"
             sent_s.setdefault(tick_index, loop.time())
 
-        station.update = update  # type: ignore[method-assign]
-        station.port.observers.append(note_frame)
+        axis_loop.update = update  # type: ignore[method-assign]
+        axis_loop.bus.observers.append(note_frame)
         service.publishers.append(lambda tick: due_s.update({tick.index: tick.deadline_s}))
         service.output_offset = offset
         loop.call_later((len(WORK_S) + 2) * service.ticks.period_s, service.shut_down)

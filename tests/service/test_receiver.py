@@ -26,11 +26,11 @@ NOWHERE = Feedback(math.nan, 0, enabled=True, fault=False, fault_code=0)
 def test_a_frame_that_only_has_the_number_of_the_command_is_rejected(kind: dict[str, bool], reason: str) -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        number = world.station.profile.command_id.identifier
+        number = world.axis_loop.profile.command_id.identifier
         message = can.Message(arbitration_id=number, **{"is_extended_id": False} | kind)
-        world.station.take(message)
+        world.axis_loop.take(message)
         assert world.state() is State.SPEED_STAGE
-        assert world.station.port.link.counters.rejected_by_reason[reason] == 1
+        assert world.axis_loop.bus.link.counters.rejected_by_reason[reason] == 1
 
     simulate(script)
 
@@ -38,9 +38,9 @@ def test_a_frame_that_only_has_the_number_of_the_command_is_rejected(kind: dict[
 def test_a_command_of_another_length_is_a_second_controller_too() -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        number = world.station.profile.command_id.identifier
-        world.station.receiver.take(
-            can.Message(arbitration_id=number, is_extended_id=False, data=b"1"), world.axis, world.station.port.link
+        number = world.axis_loop.profile.command_id.identifier
+        world.axis_loop.receiver.take(
+            can.Message(arbitration_id=number, is_extended_id=False, data=b"1"), world.axis, world.axis_loop.bus.link
         )
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.FOREIGN_COMMAND
@@ -62,12 +62,12 @@ def test_what_a_drive_without_encoder_says_is_heard_in_the_same_tick(
 ) -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        profile, axis = world.station.profile, world.axis
+        profile, axis = world.axis_loop.profile, world.axis
         counter = (axis.drive.monitor._counter or 0) + 1
         whole = Feedback(axis.drive.position or 0.0, counter + 1, enabled=True, fault=False, fault_code=0)
         axis.begin_tick(world.service.statistics.count + 1, 0)
         for feedback in [lost._replace(counter=counter), whole] if good_frame_follows else [lost]:
-            world.station.take(
+            world.axis_loop.take(
                 can.Message(
                     arbitration_id=profile.feedback_id.identifier,
                     is_extended_id=False,
@@ -78,7 +78,7 @@ def test_what_a_drive_without_encoder_says_is_heard_in_the_same_tick(
         assert axis.trip is not None
         assert axis.trip.code is code
         assert (command.effort, command.enable) == (0.0, False)
-        assert world.station.port.link.counters.rejected_by_reason["reserved_value"] == 1
+        assert world.axis_loop.bus.link.counters.rejected_by_reason["reserved_value"] == 1
 
     simulate(script)
 
@@ -86,14 +86,14 @@ def test_what_a_drive_without_encoder_says_is_heard_in_the_same_tick(
 def test_a_wrong_checksum_is_not_heard_at_all() -> None:
     async def script(world: World) -> None:
         await world.armed()
-        profile = world.station.profile
+        profile = world.axis_loop.profile
         data = bytearray(profile.encode_feedback(Feedback(float("nan"), 1, enabled=True, fault=True, fault_code=4)))
         data[-1] ^= 1
         message = can.Message(arbitration_id=profile.feedback_id.identifier, is_extended_id=False, data=data)
         with pytest.raises(FrameRejected) as caught:
             profile.decode_feedback(message)
         assert not isinstance(caught.value, PositionRejected)
-        world.station.take(message)
+        world.axis_loop.take(message)
         assert world.axis.drive.fault_code is None
 
     simulate(script)

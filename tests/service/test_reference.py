@@ -88,7 +88,7 @@ def test_across_a_lost_bus(away_s: float, *, heartbeat: bool, restarted: bool) -
         await at_its_place(world, "disarmed")
         now_s = asyncio.get_running_loop().time()
         back_s = now_s + away_s
-        world.station.port._lose(LinkError("the cable was pulled"))
+        world.axis_loop.bus._lose(LinkError("the cable was pulled"))
         if restarted:
             world.drive.reboot(now_s, 0.1)
         await world.seconds(away_s)
@@ -111,7 +111,7 @@ def test_of_several_axes_on_a_bus_the_one_whose_drive_was_off_loses_its_place(tm
             plant.ask(op="move", axis=name, position=PLACE, velocity=200.0)
         await plant.until(lambda: set(plant.states()) == {State.HOLDING} and plant.drives["y"].position > 299.0)
         plant.ask(op="disarm")
-        await plant.until(lambda: all(station.axis.ready_to_arm for station in plant.service.stations))
+        await plant.until(lambda: all(axis_loop.axis.ready_to_arm for axis_loop in plant.service.axis_loops))
         plant.drives["y"].reboot(asyncio.get_running_loop().time(), 0.2, counts=counts)
         await plant.until(lambda: not plant.axis("y").referenced)
         shown = plant.service.snapshot()["axes"]

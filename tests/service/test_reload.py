@@ -177,7 +177,7 @@ def test_a_dbc_file_that_has_changed_since_the_start_is_told_and_not_passed_over
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         axis, reload = world.axis, reloading(world, file)
-        profile = world.station.profile
+        profile = world.axis_loop.profile
         profile.traits = replace(profile.traits, digest="of another content")
         with pytest.raises(ConfigError, match="the content of the DBC file has changed: only a restart") as error:
             reload()

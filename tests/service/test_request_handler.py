@@ -156,7 +156,7 @@ def test_an_answer_that_cannot_be_made_ends_the_service() -> None:
             raise RuntimeError("a defect")
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(type(world.station), "report", broken)
+            patch.setattr(type(world.axis_loop), "report", broken)
             answer = desk.handler.answer(parse_request(b'{"op": "status"}'), Client())
             told = json.loads(b"".join(answer.pieces))
         assert told["error"]["code"] == "internal_error"

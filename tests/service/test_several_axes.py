@@ -22,7 +22,7 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link
 from twostage_servo.config.loader import ConfigError
 from twostage_servo.config.machine import load_machine
-from twostage_servo.service.loop import ServoService
+from twostage_servo.service.servo_service import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -59,13 +59,13 @@ class Plant:
     drives: dict[str, SimulatedDrive] = field(default_factory=dict)
 
     def axis(self, name: str) -> Axis:
-        return self.service.station(name).axis
+        return self.service.axis_loop(name).axis
 
     def ask(self, **request: Any) -> dict[str, Any]:
         return self.service.handle(read_request(request))
 
     def states(self) -> list[State]:
-        return [station.axis.state for station in self.service.stations]
+        return [axis_loop.axis.state for axis_loop in self.service.axis_loops]
 
     async def until(self, condition: Callable[[], bool], longest_s: float = 60.0) -> None:
         for _ in range(round(longest_s / 0.01)):
@@ -75,7 +75,7 @@ class Plant:
         raise AssertionError(f"not within {longest_s} s: {self.states()}")
 
     async def armed(self) -> None:
-        await self.until(lambda: all(station.axis.ready_to_arm for station in self.service.stations))
+        await self.until(lambda: all(axis_loop.axis.ready_to_arm for axis_loop in self.service.axis_loops))
         self.ask(op="arm")
         await self.until(lambda: set(self.states()) == {State.HOLDING})
 
@@ -92,14 +92,14 @@ def operate(path: Path, script: Callable[[Plant], Awaitable[None]], *overrides: 
 
         service = build_service(machine, opener=lambda bus: wire(bus.channel).attach("service"))
         plant, nodes = Plant(service, wires), []
-        for loaded, station in zip(machine.axes, service.stations, strict=True):
+        for loaded, axis_loop in zip(machine.axes, service.axis_loops, strict=True):
             config = loaded.config
-            drive = plant.drives[station.name] = SimulatedDrive(config.simulation, station.profile, loop.time())
+            drive = plant.drives[axis_loop.name] = SimulatedDrive(config.simulation, axis_loop.profile, loop.time())
 
-            def attach(name: str = station.name, channel: str | int = config.bus.channel) -> can.BusABC:
+            def attach(name: str = axis_loop.name, channel: str | int = config.bus.channel) -> can.BusABC:
                 return wire(channel).attach(name)
 
-            link = Link(config.bus, station.profile.drive_identifiers, attach)
+            link = Link(config.bus, axis_loop.profile.drive_identifiers, attach)
             nodes.append(DriveNode(drive, link, config.simulation.cycle_ms / 1e3))
         serving = asyncio.create_task(service.run())
         driving = [asyncio.create_task(node.run()) for node in nodes]
@@ -128,7 +128,7 @@ def two_buses(tmp_path: Path) -> Path:
 def test_each_axis_moves_by_itself_on_a_bus_that_they_share(two_on_one_bus: Path) -> None:
     async def script(plant: Plant) -> None:
         await plant.armed()
-        assert len(plant.service.ports) == 1
+        assert len(plant.service.buses) == 1
         plant.ask(op="move", axis="y", position=-30.0)
         await plant.until(lambda: plant.axis("y").state is State.HOLDING)
         assert plant.drives["y"].position == pytest.approx(-30.0, abs=0.05)
@@ -271,10 +271,10 @@ def test_an_axis_that_is_disarmed_for_another_gets_no_effort_from_that_tick_on(t
     path = machine_file(tmp_path, pages, 'when_one_trips = "disarm"\n')
 
     async def script(plant: Plant) -> None:
-        station = plant.service.station("y")
+        axis_loop = plant.service.axis_loop("y")
         await plant.armed()
         plant.drives["y"].change(asyncio.get_running_loop().time(), load=-2.0)
-        await plant.until(lambda: abs(station.command.effort) > 1.0)
+        await plant.until(lambda: abs(axis_loop.command.effort) > 1.0)
         await asyncio.sleep(1.0)
         if state is State.ARMING:
             plant.ask(op="disarm", axis="y")
@@ -285,7 +285,7 @@ def test_an_axis_that_is_disarmed_for_another_gets_no_effort_from_that_tick_on(t
         plant.axis("x").raise_trip(TripCode.FOLLOWING_ERROR, "test")
         await asyncio.sleep(0.2)
         assert plant.states() == [State.TRIPPED, State.DISARMED]
-        disarmed = [record for record in list(station.recorder.records())[-30:] if record.state is State.DISARMED]
+        disarmed = [record for record in list(axis_loop.recorder.records())[-30:] if record.state is State.DISARMED]
         assert len(disarmed) > 10
         assert all(record.effort == 0.0 for record in disarmed)
 
@@ -366,7 +366,7 @@ def test_a_drive_is_disabled_at_the_end_though_another_ones_command_cannot_be_ma
             raise RuntimeError(f"no frame for {command}")
 
         await plant.armed()
-        monkeypatch.setattr(plant.service.station("x"), "_prepared", broken)
+        monkeypatch.setattr(plant.service.axis_loop("x"), "_prepared", broken)
         await asyncio.sleep(0.05)  # half of what a drive waits for commands
         assert isinstance(plant.service.failure, RuntimeError)
         assert plant.drives["x"].enabled
@@ -389,7 +389,7 @@ def test_a_bus_that_fails_trips_the_axes_on_it_and_no_others(tmp_path: Path) -> 
         await plant.until(lambda: plant.axis("z").state is State.HOLDING)
         assert plant.drives["z"].position == pytest.approx(400.0, abs=0.05)
         plant.wires["can0"].node("service").down = False
-        await plant.until(lambda: plant.service.ports[0].error is None)
+        await plant.until(lambda: plant.service.buses[0].error is None)
         assert plant.states() == [State.TRIPPED, State.TRIPPED, State.HOLDING]
 
     operate(path, script)
@@ -435,7 +435,7 @@ def test_a_reload_takes_all_files_or_none(two_on_one_bus: Path) -> None:
     other = two_on_one_bus.parent / "y.toml"
 
     async def script(plant: Plant) -> None:
-        await plant.until(lambda: all(station.axis.ready_to_arm for station in plant.service.stations))
+        await plant.until(lambda: all(axis_loop.axis.ready_to_arm for axis_loop in plant.service.axis_loops))
         for name in ("x", "y"):
             page = two_on_one_bus.parent / f"{name}.toml"
             page.write_text(page.read_text().replace("cruise_velocity = 100.0", "cruise_velocity = 40.0"))
@@ -446,7 +446,7 @@ def test_a_reload_takes_all_files_or_none(two_on_one_bus: Path) -> None:
         assert plant.axis("x").settings.cruise_velocity == 100.0
         other.write_text(text)
         reload_machine(plant.service, machine, load_machine(two_on_one_bus))
-        assert [station.axis.settings.cruise_velocity for station in plant.service.stations] == [40.0, 40.0]
+        assert [axis_loop.axis.settings.cruise_velocity for axis_loop in plant.service.axis_loops] == [40.0, 40.0]
 
     operate(two_on_one_bus, script)
 

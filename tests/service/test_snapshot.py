@@ -15,7 +15,7 @@ from twostage_servo.telemetry.trip_files import TripFile
 
 def test_a_drive_that_was_never_heard_has_no_position_and_no_age() -> None:
     async def script(world: World) -> dict[str, Any]:
-        return world.station.report()
+        return world.axis_loop.report()
 
     report = simulate(script)
     axis = report["axis"]
@@ -34,13 +34,13 @@ def test_an_axis_in_mid_move_is_shown_with_its_estimates_and_its_move(monkeypatc
     async def script(world: World) -> None:
         await world.cruising(target=400.0, velocity=80.0)
         axis, estimate = world.axis, world.axis.estimate
-        report = world.station.report()
+        report = world.axis_loop.report()
         shown = report["axis"]
         assert shown["state"] == State.SPEED_STAGE
         assert shown["velocity"] == estimate.velocity == pytest.approx(80.0, rel=0.05)
         assert shown["disturbance"] == estimate.disturbance
         assert shown["position"] == axis.drive.position == pytest.approx(world.drive.position, abs=2.0)
-        assert shown["effort"] == world.station.command.effort > 0.0
+        assert shown["effort"] == world.axis_loop.command.effort > 0.0
         assert shown["target"] == 400.0
         assert shown["following_error"] == axis.following_error
         assert shown["feedback_age_ms"] in {0.0, 10.0}
@@ -57,7 +57,7 @@ def test_an_axis_in_mid_move_is_shown_with_its_estimates_and_its_move(monkeypatc
         assert report["bus"]["channel"] == "can0"
         assert report["bus"]["controller"] == "active"
         monkeypatch.setattr(Axis, "saturated", True)
-        assert world.station.report()["axis"]["saturated"] is True
+        assert world.axis_loop.report()["axis"]["saturated"] is True
 
     simulate(script)
 
@@ -67,7 +67,7 @@ def test_a_trip_is_shown_with_its_file_and_with_what_made_it_worse() -> None:
         await world.cruising()
         world.axis.raise_trip(TripCode.FOLLOWING_ERROR, "first")
         await world.seconds(0.01)
-        trip = world.station.report()["trip"]
+        trip = world.axis_loop.report()["trip"]
         first = world.axis.trip
         assert first is not None
         assert trip == {
@@ -76,9 +76,9 @@ def test_a_trip_is_shown_with_its_file_and_with_what_made_it_worse() -> None:
             "file_error": None,
         }  # fmt: skip
         world.axis.raise_trip(TripCode.DRIVE_FAULT, "second")
-        world.station.reporter.trip_file = file = TripFile()
+        world.axis_loop.event_log.trip_file = file = TripFile()
         file.path, file.error = Path("/var/trips/1.json"), "the disk is full"
-        trip = world.station.report()["trip"]
+        trip = world.axis_loop.report()["trip"]
         assert trip["code"] == "following_error"
         assert (trip["escalation"], trip["codes"]) == ("drive_fault", ["following_error", "drive_fault"])
         assert (trip["file"], trip["file_error"]) == ("/var/trips/1.json", "the disk is full")
@@ -89,7 +89,7 @@ def test_a_trip_is_shown_with_its_file_and_with_what_made_it_worse() -> None:
 def test_each_counter_stands_under_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         await world.armed()
-        counters, monitor = world.station.port.link.counters, world.axis.drive.monitor
+        counters, monitor = world.axis_loop.bus.link.counters, world.axis.drive.monitor
         of_link = ["received", "sent", "rejected", "dropped", "errors", "overflowed", "overruns"]
         of_monitor = ["late", "lost", "doubled", "reordered", "implausible"]
         for number, name in enumerate(of_link, 1001):
@@ -99,7 +99,7 @@ def test_each_counter_stands_under_its_name(monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setattr(Axis, "predicted_ticks", 3001)
         counters.rejected_by_reason["remote"] = 4001
         counters.errors_by_kind["bus_off"] = 5001
-        frames = world.station.report()["frames"]
+        frames = world.axis_loop.report()["frames"]
         assert [frames[name] for name in of_link] == list(range(1001, 1008))
         assert [frames[name] for name in of_monitor] == list(range(2001, 2006))
         assert frames["predicted"] == 3001
@@ -115,7 +115,7 @@ def test_each_input_stands_under_its_name(name: str) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         for one in ("safe_torque_off", "positive_limit", "negative_limit", "home_switch"):
             setattr(world.axis.drive, one, one == name)
-        inputs = world.station.report()["inputs"]
+        inputs = world.axis_loop.report()["inputs"]
         assert [one for one, on in inputs.items() if on] == [name]
 
     simulate(script)

@@ -74,16 +74,16 @@ def test_a_trip_is_told_with_its_cause_and_what_to_do_next() -> None:
 def test_a_silent_drive_a_bus_in_trouble_and_one_that_is_gone_are_told() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        world.station.port.link.controller_state = "passive"
+        world.axis_loop.bus.link.controller_state = "passive"
         assert status_line(world.service, 0) == "x disarmed, bus can0 error-passive"
         world.axis.drive.forget()
         assert status_line(world.service, 0) == "x disarmed, the drive is silent"
-        world.station.port.error = "bus socketcan can0 failed: Network is down. Bring it up."
+        world.axis_loop.bus.error = "bus socketcan can0 failed: Network is down. Bring it up."
         line = status_line(world.service, 0)
         assert line == "x disarmed, no bus: bus socketcan can0 failed: Network is down. Bring it up."
-        world.station.port.error = "x" * 10_000
+        world.axis_loop.bus.error = "x" * 10_000
         assert len(status_line(world.service, 0)) == 2000
-        world.station.port.error = None
+        world.axis_loop.bus.error = None
 
     simulate(script)
 

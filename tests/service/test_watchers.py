@@ -13,10 +13,10 @@ import pytest
 from tests.service.operators import Operator, connect, serve
 from tests.service.rig import World
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
+from twostage_servo.service.axis_loop import AxisLoop
+from twostage_servo.service.background_server import Priority
 from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.station import Station
 from twostage_servo.service.status_lines import StatusLines
-from twostage_servo.service.turns import Rank
 from twostage_servo.service.watchers import Watchers
 from twostage_servo.timing.virtual_clock import run
 
@@ -36,19 +36,19 @@ class Work:
     def __init__(self, plant: Plant, patch: pytest.MonkeyPatch) -> None:
         self.made = self.within_ticks = 0
         self._in_tick = False
-        report, publish = Station.report, plant.service.publish
+        report, publish = AxisLoop.report, plant.service.publish
 
-        def counted(station: Station) -> dict[str, Any]:
+        def counted(axis_loop: AxisLoop) -> dict[str, Any]:
             self.made += 1
             self.within_ticks += self._in_tick
-            return report(station)
+            return report(axis_loop)
 
         def published(tick: Any) -> None:
             self._in_tick = True
             publish(tick)
             self._in_tick = False
 
-        patch.setattr(Station, "report", counted)
+        patch.setattr(AxisLoop, "report", counted)
         patch.setattr(plant.service, "publish", published)
 
 
@@ -131,10 +131,10 @@ def test_a_defect_in_what_is_shown_ends_the_service(tmp_path: Path, monkeypatch:
         watcher = await connect(path)
         await watcher.done(op="watch", every=1)
 
-        def defect(_: Station) -> dict[str, Any]:
+        def defect(_: AxisLoop) -> dict[str, Any]:
             raise ZeroDivisionError("a defect")
 
-        monkeypatch.setattr(Station, "report", defect)
+        monkeypatch.setattr(AxisLoop, "report", defect)
         await world.seconds(0.2)
         assert isinstance(world.service.failure, ZeroDivisionError)
 
@@ -142,7 +142,7 @@ def test_a_defect_in_what_is_shown_ends_the_service(tmp_path: Path, monkeypatch:
 
 
 class FewPieces:
-    """Turns of one piece each, and something that happens after the first of them."""
+    """BackgroundServer of one piece each, and something that happens after the first of them."""
 
     slice_s = 0.0
 
@@ -150,7 +150,7 @@ class FewPieces:
         self._then = [after_the_first]
 
     @contextlib.asynccontextmanager
-    async def turn(self, _: Rank) -> AsyncIterator[None]:
+    async def slot(self, _: Priority) -> AsyncIterator[None]:
         yield
         if self._then:
             self._then.pop()()

@@ -38,7 +38,7 @@ def trip_in_mid_move(
 
     async def script(world: World) -> tuple[Trace, dict[str, Any]]:
         if folder is not None:
-            world.station.reporter.trip_files = TripFiles(folder)
+            world.axis_loop.event_log.trip_files = TripFiles(folder)
         await world.cruising()
         await world.seconds(1.0)
         disk()
@@ -84,7 +84,7 @@ def test_the_length_is_the_recordings(tmp_path: Path) -> None:
 
 def test_each_trip_has_its_file(tmp_path: Path) -> None:
     async def script(world: World) -> None:
-        world.station.reporter.trip_files = files = TripFiles(tmp_path)
+        world.axis_loop.event_log.trip_files = files = TripFiles(tmp_path)
         for number in range(1, 4):
             await world.armed()
             world.axis.raise_trip(TripCode.OVERSPEED, f"number {number}")
@@ -103,7 +103,7 @@ def test_each_trip_has_its_file(tmp_path: Path) -> None:
 
 def test_numbers_that_are_not_finite_are_null_in_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     async def script(world: World) -> None:
-        world.station.reporter.trip_files = TripFiles(tmp_path)
+        world.axis_loop.event_log.trip_files = TripFiles(tmp_path)
         await world.cruising()
         step = TwoStageLaw.step
         monkeypatch.setattr(TwoStageLaw, "step", lambda law, sample: step(law, sample) + math.nan)
@@ -444,7 +444,7 @@ def test_a_trip_for_which_there_is_no_memory_is_told_and_changes_nothing_else(
         if where == "writer":
             monkeypatch.setattr(json, "dump", no_memory)
         elif where == "snapshot":
-            monkeypatch.setattr("twostage_servo.service.reporter.Reporter._document", no_memory)
+            monkeypatch.setattr("twostage_servo.service.event_log.EventLog._document", no_memory)
         else:
             monkeypatch.setattr("twostage_servo.telemetry.recorder.Recorder.keep", no_memory)
 
@@ -509,7 +509,7 @@ def test_the_file_of_an_earlier_trip_is_not_told_as_that_of_this_one(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     async def script(world: World) -> None:
-        world.station.reporter.trip_files = TripFiles(tmp_path)
+        world.axis_loop.event_log.trip_files = TripFiles(tmp_path)
         for is_full in (False, True):
             await world.armed()
             if is_full:

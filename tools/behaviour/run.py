@@ -28,7 +28,7 @@ from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.cli.main import main as run_verb
 from twostage_servo.config.machine import load_machine
 from twostage_servo.service.log import open_log
-from twostage_servo.service.loop import ServoService
+from twostage_servo.service.servo_service import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -92,7 +92,7 @@ async def two_axes() -> str:
     bus = BusSettings(interface="socketcan", channel="can0")
     service = build_service(machine, bus, lambda _: wire.attach("service"))
     drives, nodes = [], []
-    for loaded, axis in zip(machine.axes, service.stations, strict=True):
+    for loaded, axis in zip(machine.axes, service.axis_loops, strict=True):
         drive = SimulatedDrive(loaded.config.simulation, axis.profile, loop.time())
         link = Link(bus, axis.profile.drive_identifiers, functools.partial(wire.attach, axis.name))
         drives.append(drive)
@@ -134,7 +134,7 @@ def _ask(service: ServoService, request: dict[str, object]) -> str:
     return json.dumps(
         [
             (axis.state, axis.drive.position, None if axis.trip is None else (axis.trip.code, axis.trip.cause))
-            for axis in (one.axis for one in service.stations)
+            for axis in (one.axis for one in service.axis_loops)
         ]
     )
 

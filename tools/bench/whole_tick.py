@@ -21,7 +21,7 @@ from tools.bench.plan import Plan
 from tools.bench.summary import percentile, summarise
 from tools.bench.world import operate
 from twostage_servo.service.log import open_log
-from twostage_servo.service.loop import ServoService
+from twostage_servo.service.servo_service import ServoService
 from twostage_servo.timing.ticks import real_time_loop
 from twostage_servo.timing.virtual_clock import run
 

@@ -16,7 +16,7 @@ from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import Link
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.config.machine import Machine
-from twostage_servo.service.loop import ServoService
+from twostage_servo.service.servo_service import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -47,17 +47,17 @@ def build(axes: int) -> tuple[ServoService, list[DriveNode], Callable[[], list[R
     machine = dataclasses.replace(Machine.of(files[0]), axes=files)
     service = build_service(machine, opener=lambda bus: wires[bus.channel].attach("service"))
     nodes = []
-    for loaded, station in zip(files, service.stations, strict=True):
-        drive = SimulatedDrive(loaded.config.simulation, station.profile, now())
-        attach = functools.partial(wires[loaded.config.bus.channel].attach, station.name)
-        link = Link(loaded.config.bus, station.profile.drive_identifiers, attach)
+    for loaded, axis_loop in zip(files, service.axis_loops, strict=True):
+        drive = SimulatedDrive(loaded.config.simulation, axis_loop.profile, now())
+        attach = functools.partial(wires[loaded.config.bus.channel].attach, axis_loop.name)
+        link = Link(loaded.config.bus, axis_loop.profile.drive_identifiers, attach)
         nodes.append(DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3))
     end = _HALF_WAY
 
     def to_the_other_end() -> list[Request]:
         nonlocal end
         end = -end
-        ends = dict.fromkeys((station.name for station in service.stations), end)
+        ends = dict.fromkeys((axis_loop.name for axis_loop in service.axis_loops), end)
         return [MoveRequest(positions=ends, velocity=_VELOCITY)]
 
     return service, nodes, to_the_other_end
@@ -105,9 +105,9 @@ async def operate(axes: int, prepare: Callable[[ServoService], None]) -> AsyncIt
     shuttling = asyncio.create_task(shuttle())
     try:
         yield service
-        for station in service.stations:
-            if station.axis.trip is not None:
-                raise RuntimeError(f"{station.name} tripped while it was measured: {station.axis.trip.cause}")
+        for axis_loop in service.axis_loops:
+            if axis_loop.axis.trip is not None:
+                raise RuntimeError(f"{axis_loop.name} tripped while it was measured: {axis_loop.axis.trip.cause}")
     finally:
         shuttling.cancel()
         service.shut_down()

@@ -177,7 +177,7 @@ class ScriptedTicks(Ticks):
             bench.check_tick()
         if self._ended:
             raise StopAsyncIteration
-        if bench.station.port.error is not None:
+        if bench.axis_loop.bus.error is not None:
             await asyncio.sleep(self.period_s)
         await bench.prepare()
         missed, bench.missed_next = bench.missed_next, 0
@@ -222,7 +222,7 @@ class Bench:
         )
         settings = settings.with_frames_of(drive.loaded.config.bus)
         self.service = service = build_service(drive.loaded, settings, lambda _: self.bus.reopen())
-        self.station = station = service.station()
+        self.axis_loop = axis_loop = service.axis_loop()
         self.period_s = service.ticks.period_s
         service.ticks = ScriptedTicks(self)
         self.kinds = drive.kinds
@@ -230,11 +230,11 @@ class Bench:
         config = drive.loaded.config
         self.plant = Plant(config.axis.plant.gain, config.axis.plant.pole).discretise(self.period_s)
         self.scale = -1.0 if config.protocol.feedback.position_scale < 0.0 else 1.0
-        self.limit = min(config.axis.limits.effort, station.profile.traits.effort_limit) + 1e-9
-        self.command_number = station.profile.command_id.identifier
-        self.listened = {identifier.identifier for identifier in station.profile.controller_identifiers}
+        self.limit = min(config.axis.limits.effort, axis_loop.profile.traits.effort_limit) + 1e-9
+        self.command_number = axis_loop.profile.command_id.identifier
+        self.listened = {identifier.identifier for identifier in axis_loop.profile.controller_identifiers}
         self.listened.add(self.command_number)
-        self.feedback_number = station.profile.feedback_id.identifier
+        self.feedback_number = axis_loop.profile.feedback_id.identifier
         self.prepare: Callable[[], Awaitable[None]] = self.idle
         self.position = self.sample = self.velocity = 0.0
         self.counter = self.boots = 0
@@ -260,8 +260,8 @@ class Bench:
         self._enabled = False
         for name in self.kinds:
             attribute = f"decode_{name}"
-            setattr(station.profile, attribute, self._counted(name, getattr(station.profile, attribute)))
-        station.port.observers.append(self._observe)
+            setattr(axis_loop.profile, attribute, self._counted(name, getattr(axis_loop.profile, attribute)))
+        axis_loop.bus.observers.append(self._observe)
 
     def _counted(self, name: str, decode: Callable[[can.Message], Any]) -> Callable[[can.Message], Any]:
         decoded = self.decoded
@@ -318,10 +318,10 @@ class Bench:
         if bus.sends != self._sends_seen and bus.sent is not None:
             self._sends_seen = bus.sends
             command = self.commands.decode(bus.sent)
-            enable = command.enable is not False and self.station.command.enable
+            enable = command.enable is not False and self.axis_loop.command.enable
             if (
                 not math.isfinite(command.effort)
-                or abs(command.effort) > self.limit + self.station.profile.traits.effort_quantum
+                or abs(command.effort) > self.limit + self.axis_loop.profile.traits.effort_quantum
             ):
                 raise Failed(f"the command on the bus has effort {command.effort}, the limit is {self.limit}")
             self._enabled = enable
@@ -359,8 +359,8 @@ class Bench:
 
     def _check_frame(self, message: can.Message) -> None:
         """Check that a frame that came in was used, rejected, or left as a repetition: exactly one of the three."""
-        rejected = self.station.port.link.counters.rejected
-        drive = self.station.axis.drive
+        rejected = self.axis_loop.bus.link.counters.rejected
+        drive = self.axis_loop.axis.drive
         monitor = drive.monitor
         left = monitor.doubled + monitor.reordered
         was_rejected, was_decoded, was_left, was_refused = self._seen
@@ -385,7 +385,7 @@ class Bench:
 
     def _check_freshness(self, message: can.Message) -> None:
         """Check that a feedback that is neither rejected nor a repetition is either fresh or late."""
-        drive = self.station.axis.drive
+        drive = self.axis_loop.axis.drive
         late = drive.monitor.late != self._was_late
         expected = self.bus.is_late(message, self.period_s)
         if expected not in {None, late}:
@@ -402,8 +402,8 @@ class Bench:
         service = self.service
         if service.failure is not None:
             raise service.failure
-        station = self.station
-        axis = station.axis
+        axis_loop = self.axis_loop
+        axis = axis_loop.axis
         self.states[axis.state.value] += 1
         self._check_command()
         self._check_counts()
@@ -411,7 +411,7 @@ class Bench:
             self._trip = axis.trip
             if axis.trip is not None:
                 self.trips[axis.trip.code.value] += 1
-        counters, monitor, taken = station.port.link.counters, axis.drive.monitor, self.bus.taken
+        counters, monitor, taken = axis_loop.bus.link.counters, axis.drive.monitor, self.bus.taken
         self._counts = counters.received, counters.errors, counters.dropped
         self._last = None
         self._was_late, self._was_fresh = monitor.late, False
@@ -423,12 +423,12 @@ class Bench:
 
     def _check_command(self) -> None:
         """Check that the effort is finite, within its limit, and none on an axis that is not driven."""
-        station, axis = self.station, self.station.axis
-        state, (effort, enable) = axis.state, station.command
+        axis_loop, axis = self.axis_loop, self.axis_loop.axis
+        state, (effort, enable) = axis.state, axis_loop.command
         if not math.isfinite(effort) or abs(effort) > self.limit:
             raise Failed(f"the effort is {effort}, the limit {self.limit}")
         # A command that did not leave may have tripped the axis after it was made.
-        written = station.port.error is None and station.port.link.counters.dropped == self._counts[2]
+        written = axis_loop.bus.error is None and axis_loop.bus.link.counters.dropped == self._counts[2]
         if effort != 0.0 and state not in _IN_DRIVE and written:
             raise Failed(f"the effort is {effort} in state {state}")
         if enable and state not in _IN_ENABLED and written:
@@ -438,9 +438,9 @@ class Bench:
 
     def _check_counts(self) -> None:
         """Check that each frame that came in was counted, and each rejected one by its reason."""
-        counters, taken = self.station.port.link.counters, self.bus.taken
+        counters, taken = self.axis_loop.bus.link.counters, self.bus.taken
         received, errors, _ = self._counts
-        if self.station.port.error is None:
+        if self.axis_loop.bus.error is None:
             if self._last is not None:
                 self._check_frame(self._last)
             wrong = sum(message.is_error_frame for message in taken)
@@ -457,13 +457,13 @@ class Bench:
 
     def check_end(self) -> None:
         """Check the sums, and that the last command has disabled the drive."""
-        sent, profile = self.bus.sent, self.station.profile
-        if sent is not None and self.station.port.error is None and self.bus.trouble is None:
+        sent, profile = self.bus.sent, self.axis_loop.profile
+        if sent is not None and self.axis_loop.bus.error is None and self.bus.trouble is None:
             command = self.commands.decode(sent)
             if command.effort != 0.0 or command.enable:
                 raise Failed(f"the last command is {command}, {profile.command_id}")
-        if self.station.axis.state in {*DRIVEN, State.ARMING}:
-            raise Failed(f"the service has ended in state {self.station.axis.state}")
+        if self.axis_loop.axis.state in {*DRIVEN, State.ARMING}:
+            raise Failed(f"the service has ended in state {self.axis_loop.axis.state}")
 
     def run(self, prepare: Callable[[], Awaitable[None]]) -> None:
         """Run the service until it is shut down by the script."""

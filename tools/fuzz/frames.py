@@ -41,8 +41,8 @@ def run_episode(seed: int, episode: int, frames: int) -> Outcome:
     drives = all_drives()
     attack = _Attack(Bench(drives[episode % len(drives)], rng), frames)
     attack.run()
-    bench, link = attack.bench, attack.bench.station.port.link
-    monitor = bench.station.axis.drive.monitor
+    bench, link = attack.bench, attack.bench.axis_loop.bus.link
+    monitor = bench.axis_loop.axis.drive.monitor
     return Outcome(
         cases=bench.frames,
         counts={
@@ -124,7 +124,8 @@ class _Attack:
             self._end()
             return
         self._phase_ticks -= 1
-        if self._phase_ticks <= 0 or (not self._makers and bench.station.axis.state in _DRIVEN and rng.random() < 0.2):
+        is_driven = bench.axis_loop.axis.state in _DRIVEN
+        if self._phase_ticks <= 0 or (not self._makers and is_driven and rng.random() < 0.2):
             self._next_phase()
         if self._honest or rng.random() < 0.5:
             bench.answer_as_drive(heartbeat=self._honest)
@@ -155,7 +156,7 @@ class _Attack:
     def _next_phase(self) -> None:
         """Attack an axis that is driven, leave another in peace to be armed; now and then the other way round."""
         rng = self.rng
-        if (self.bench.station.axis.state in _DRIVEN) == (rng.random() < 0.9):
+        if (self.bench.axis_loop.axis.state in _DRIVEN) == (rng.random() < 0.9):
             name = rng.choice(("storm", "beside", "beside", "spoof", "spoof"))
             self._makers = self._phases[name]
             self._phase_ticks = rng.randrange(1, 5 if name == "storm" else 60)
@@ -169,7 +170,7 @@ class _Attack:
 
     def _operate(self) -> None:
         bench, rng = self.bench, self.rng
-        state = bench.station.axis.state
+        state = bench.axis_loop.axis.state
         if rng.random() < 0.03:
             bench.ask(**self._requests.sensible(bench.drive.loaded.config.axis))
         elif state is State.DISARMED and rng.random() < 0.5:
@@ -206,7 +207,8 @@ class _Attack:
             bench.service.shut_down()
         self._ticks_over += 1
         if self._ticks_over > _TICKS_AT_END:
-            raise Failed(f"the service has not ended after {_TICKS_AT_END} ticks, in state {bench.station.axis.state}")
+            state = bench.axis_loop.axis.state
+            raise Failed(f"the service has not ended after {_TICKS_AT_END} ticks, in state {state}")
 
     def _compare(self, message: can.Message) -> None:
         """Hold the codec to the reference."""

@@ -274,7 +274,7 @@ class Desk:
     def look(self, answer: dict[str, Any], line: Line) -> dict[str, Any]:
         """Count an answer, and check that nothing in the axis has become other than finite by its request."""
         self.codes["ok" if answer["ok"] else answer["error"]["code"]] += 1
-        axis = self.bench.station.axis
+        axis = self.bench.axis_loop.axis
         estimate = axis.estimate
         total = estimate.position + estimate.velocity + estimate.disturbance + axis.set_point + axis.effort
         if not math.isfinite(total + axis.cruise_velocity + axis.speed_reference):
@@ -345,7 +345,7 @@ class _Conversation:
         if self._left <= 0:
             await self._end()
             return
-        state = bench.station.axis.state
+        state = bench.axis_loop.axis.state
         if rng.random() < 0.3:
             bench.ask(op={State.DISARMED: "arm", State.TRIPPED: "reset"}.get(state, "status"))
         lines = [self._maker.line() for _ in range(min(self._left, rng.randrange(2 * _LINES_A_TICK)))]
@@ -356,7 +356,7 @@ class _Conversation:
             for line in lines:
                 self._desk.ask(line)
         if rng.random() < 0.05:
-            bench.service.desk.leave(bench.service.desk.lease.holder or "")
+            bench.service.desk.leave(bench.service.desk.authority.holder or "")
 
     async def _connected(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         if self._connection is None:
@@ -367,7 +367,7 @@ class _Conversation:
 
     async def _exchange(self, lines: list[Line]) -> None:
         reader, writer = await self._connected()
-        self._bench.service.turns.open(math.inf)  # no tick comes before all are answered
+        self._bench.service.background.open(math.inf)  # no tick comes before all are answered
         for line in lines:
             writer.write(line.data + b"\n")
         self.over_socket += len(lines)

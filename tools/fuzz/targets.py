@@ -100,7 +100,7 @@ class SocketTarget:
         if not self._waiting.is_set():
             await self._waiting.wait()
         for _ in range(_MOST_TICKS_TO_REST):
-            state = bench.station.axis.state
+            state = bench.axis_loop.axis.state
             if state is State.HOLDING:
                 break
             if state in {State.TRIPPED, State.DISARMED}:
@@ -111,7 +111,7 @@ class SocketTarget:
         for line in data[1:].split(b"\n")[:_MOST_LINES]:
             self._desk.ask(Line(line, refused=False))
             await self._tick(pause)
-        bench.service.desk.leave(bench.service.desk.lease.holder or "")
+        bench.service.desk.leave(bench.service.desk.authority.holder or "")
 
     def close(self) -> None:
         """End the service."""

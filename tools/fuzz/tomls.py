@@ -336,7 +336,7 @@ class _Given(Drive):
 def ride(loaded: LoadedConfig[Config], rng: random.Random) -> str:
     """Let an axis of this configuration be armed and moved on the bench; return ``ran`` or ``tripped``."""
     bench = Bench(_Given(loaded), rng)
-    axis, limits = bench.station.axis, loaded.config.axis.limits
+    axis, limits = bench.axis_loop.axis, loaded.config.axis.limits
     ticks = 0
 
     async def prepare() -> None:

@@ -116,7 +116,7 @@ class ServiceSoak:
         self.encoder_faults += mishaps.encoder_faults
 
     def _look(self, world: World, mishaps: ServiceMishaps) -> None:
-        command, position = world.station.command, world.drive.position
+        command, position = world.axis_loop.command, world.drive.position
         self.invariants.look(command, position, place_known=not (self.watch.in_doubt or mishaps.drive_disobeys))
         self.ticks = self._ticks_before + self.invariants.ticks
         self.farthest = max(self.farthest, self.invariants.farthest)

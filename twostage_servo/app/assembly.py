@@ -19,10 +19,10 @@ from twostage_servo.config.machine import Machine
 from twostage_servo.drives.dbc.compiler import dbc_digest
 from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat
 from twostage_servo.drives.protocol_error import ProtocolError
-from twostage_servo.service.loop import ServoService
-from twostage_servo.service.port import Port
+from twostage_servo.service.axis_loop import AxisLoop
+from twostage_servo.service.bus_connection import BusConnection
+from twostage_servo.service.servo_service import ServoService
 from twostage_servo.service.settings import ServiceSettings
-from twostage_servo.service.station import Station
 
 if TYPE_CHECKING:
     from twostage_servo.canbus.identifier import Identifier
@@ -142,33 +142,33 @@ def build_service(
     """
     if isinstance(machine, LoadedConfig):
         machine = Machine.of(machine)
-    stations: dict[tuple[str, str | int], list[tuple[LoadedConfig[Config], Station]]] = {}
+    axis_loops: dict[tuple[str, str | int], list[tuple[LoadedConfig[Config], AxisLoop]]] = {}
     for loaded in machine.axes:
         on = bus or loaded.config.bus
-        station = _build_station(loaded, machine)
-        stations.setdefault((on.interface, on.channel), []).append((loaded, station))
-    ports = [_build_port(members, bus, opener, machine.service.tick_ms / 1e3) for members in stations.values()]
-    return ServoService(machine.service, ports, machine.when_one_trips)
+        axis_loop = _build_axis_loop(loaded, machine)
+        axis_loops.setdefault((on.interface, on.channel), []).append((loaded, axis_loop))
+    buses = [_build_bus(members, bus, opener, machine.service.tick_ms / 1e3) for members in axis_loops.values()]
+    return ServoService(machine.service, buses, machine.when_one_trips)
 
 
-def _build_station(loaded: LoadedConfig[Config], machine: Machine) -> Station:
+def _build_axis_loop(loaded: LoadedConfig[Config], machine: Machine) -> AxisLoop:
     profile = compile_profile(loaded)
     tick_s = machine.service.tick_ms / 1e3
     axis = build_axis(loaded, profile.traits, tick_s)
-    return Station(axis, profile, tick_s, machine.service.recording_s, dated=profile.traits.sampling == "cyclic")
+    return AxisLoop(axis, profile, tick_s, machine.service.recording_s, dated=profile.traits.sampling == "cyclic")
 
 
-def _build_port(
-    members: list[tuple[LoadedConfig[Config], Station]],
+def _build_bus(
+    members: list[tuple[LoadedConfig[Config], AxisLoop]],
     bus: BusSettings | None,
     opener: Callable[[BusSettings], can.BusABC] | None,
     tick_s: float,
-) -> Port:
+) -> BusConnection:
     settings = bus or members[0][0].config.bus
     owners: dict[int, str] = {}
     heard: list[Identifier] = []
-    for loaded, station in members:
-        profile = station.profile
+    for loaded, axis_loop in members:
+        profile = axis_loop.profile
         for identifier in (*profile.controller_identifiers, profile.command_id):
             if identifier.identifier in owners:
                 raise loaded.problem(
@@ -176,22 +176,22 @@ def _build_port(
                     f"{owners[identifier.identifier]} uses identifier {identifier} on this bus as well: give each "
                     "drive its own (protocol.identifier_offset, or another DBC)",
                 )
-            owners[identifier.identifier] = f"axis {station.name} ({loaded.source})"
+            owners[identifier.identifier] = f"axis {axis_loop.name} ({loaded.source})"
         heard += profile.controller_identifiers
         if settings.interface not in _ECHOING:
             heard.append(profile.command_id)  # which only somebody else can have sent
     _check_load(settings, members, tick_s)
     link = Link(settings, heard, functools.partial(opener, settings) if opener is not None else None)
-    return Port(link, [station for _, station in members], tick_s)
+    return BusConnection(link, [axis_loop for _, axis_loop in members], tick_s)
 
 
-def _check_load(settings: BusSettings, members: list[tuple[LoadedConfig[Config], Station]], tick_s: float) -> None:
+def _check_load(settings: BusSettings, members: list[tuple[LoadedConfig[Config], AxisLoop]], tick_s: float) -> None:
     if settings.bitrate is None:
         return
-    frames = [frame for loaded, station in members for frame in cyclic_frames(loaded, station.profile, tick_s)]
+    frames = [frame for loaded, axis_loop in members for frame in cyclic_frames(loaded, axis_loop.profile, tick_s)]
     load = bus_load(frames, settings.bitrate)
     if load > 1.0:
-        names = ", ".join(station.name for _, station in members)
+        names = ", ".join(axis_loop.name for _, axis_loop in members)
         raise members[0][0].problem(
             ("bus", "bitrate"),
             f"the bus cannot carry it: the frames of {names} on a tick of {1e3 * tick_s:g} ms take up to "
@@ -233,14 +233,14 @@ def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> N
 
 def traits_of(service: ServoService) -> dict[str, DriveTraits]:
     """Return what the axes of a service have to know of their drives, by their names."""
-    return {station.name: station.profile.traits for station in service.stations}
+    return {axis_loop.name: axis_loop.profile.traits for axis_loop in service.axis_loops}
 
 
 def put_axes_in(service: ServoService, axes: Sequence[Axis]) -> None:
     """Put axes in the place of a disarmed service's own, in whose order they are; they know what those knew."""
-    for station, axis in zip(service.stations, axes, strict=True):
-        axis.take_over(station.axis)
-        station.axis = axis
+    for axis_loop, axis in zip(service.axis_loops, axes, strict=True):
+        axis.take_over(axis_loop.axis)
+        axis_loop.axis = axis
     service.allow_for_stops()
 
 

@@ -95,9 +95,9 @@ class Demonstration:
         bus = BusSettings(interface="virtual", channel="twostage-servo-demo")
         self._bus = bus.with_frames_of(loaded.config.bus)
         self.service = build_service(loaded, self._bus)
-        self._station = self.service.station()
+        self._axis_loop = self.service.axis_loop()
         self.service.publishers.append(self._on_tick)
-        self._station.port.observers.append(self._on_frame)
+        self._axis_loop.bus.observers.append(self._on_frame)
         self._hash = hashlib.sha256()
         self._drive: SimulatedDrive | None = None
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
@@ -106,13 +106,13 @@ class Demonstration:
     @property
     def profile(self) -> DriveProfile:
         """The compiled protocol, with the quanta of its signals."""
-        return self._station.profile
+        return self._axis_loop.profile
 
     async def run(self) -> None:
         """Run the whole demo on the running loop."""
         simulation = self._config.simulation
-        self._drive = SimulatedDrive(simulation, self._station.profile, asyncio.get_running_loop().time())
-        link = Link(self._bus, self._station.profile.drive_identifiers)
+        self._drive = SimulatedDrive(simulation, self._axis_loop.profile, asyncio.get_running_loop().time())
+        link = Link(self._bus, self._axis_loop.profile.drive_identifiers)
         node = DriveNode(self._drive, link, simulation.cycle_ms / 1e3)
         async with asyncio.TaskGroup() as group:
             group.create_task(node.run())
@@ -126,7 +126,7 @@ class Demonstration:
             node.stop()
 
     async def _operate(self) -> None:
-        axis = self._station.axis
+        axis = self._axis_loop.axis
         if not await self._until(lambda: axis.ready_to_arm, _READY_S):
             self.failure = f"no feedback from the simulated drive within {_READY_S:g} s"
             return
@@ -157,12 +157,12 @@ class Demonstration:
 
     def _on_tick(self, tick: Tick) -> None:
         assert self._drive is not None  # noqa: S101 - run() has made it
-        service, axis, estimate = self.service, self._station.axis, self._station.axis.estimate
+        service, axis, estimate = self.service, self._axis_loop.axis, self._axis_loop.axis.estimate
         self.samples.append(
             Sample(
                 tick.index * service.ticks.period_s, axis.state, axis.changeovers, self._drive.position,
                 self._drive.velocity, axis.drive.position, estimate.position, estimate.velocity,
-                estimate.disturbance, self._station.command.effort, axis.speed_reference, axis.following_error,
+                estimate.disturbance, self._axis_loop.command.effort, axis.speed_reference, axis.following_error,
             )
         )  # fmt: skip
         if tick.index % 5 == 0:
@@ -184,7 +184,7 @@ class Demonstration:
 
     def result(self) -> dict[str, Any]:
         """Return the contract's JSON object."""
-        service, trip = self.service, self._station.axis.trip
+        service, trip = self.service, self._axis_loop.axis.trip
         return {
             "target": self._target,
             **self._score(),
@@ -194,7 +194,7 @@ class Demonstration:
                 "lateness_us": service.statistics.lateness.summary(),
             },
             "frames": {
-                name: getattr(self._station.port.link.counters, name) for name in ("received", "sent", "rejected")
+                name: getattr(self._axis_loop.bus.link.counters, name) for name in ("received", "sent", "rejected")
             },
             "trip": None if trip is None else {"code": trip.code, "cause": trip.cause, "next_action": trip.next_action},
             "failure": self.failure,
@@ -240,5 +240,5 @@ class Demonstration:
         return None
 
     def _sent(self, effort: float) -> float:
-        quantum = self._station.profile.traits.effort_quantum
+        quantum = self._axis_loop.profile.traits.effort_quantum
         return round(effort / quantum) * quantum if quantum else effort

@@ -12,7 +12,7 @@ from twostage_servo.host.garbage import GarbageCollection
 from twostage_servo.host.realtime import RealtimeReport
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.host.warm_up import warm_up
-from twostage_servo.service.loop import ServoService
+from twostage_servo.service.servo_service import ServoService
 from twostage_servo.timing.output_offset import output_offset
 from twostage_servo.timing.ticks import Tick
 from twostage_servo.timing.wake_margin import wake_margin
@@ -33,8 +33,8 @@ def punctual(service: ServoService, settings: RealtimeSettings) -> Iterator[None
             log.info("granted", what=grant.name, granted=grant.granted)
     service.ticks.margin = wake_margin(settings.spin, service.ticks.period_s)
     service.output_offset = output_offset(settings.send_at, settings.spin, service.ticks.period_s)
-    for station in service.stations:
-        law = station.axis.design.build_law()
+    for axis_loop in service.axis_loops:
+        law = axis_loop.axis.design.build_law()
         law.set_target(1.0, 1.0)
         warm_up(lambda law=law: law.step(None))  # type: ignore[misc]
     garbage = GarbageCollection() if settings.collect_garbage == "between_ticks" else None
@@ -55,7 +55,7 @@ def _collector(service: ServoService, garbage: GarbageCollection) -> Callable[[T
     period_s = service.ticks.period_s
 
     def after_tick(tick: Tick, now_s: float) -> None:
-        driven = any(station.axis.state in DRIVEN for station in service.stations)
+        driven = any(axis_loop.axis.state in DRIVEN for axis_loop in service.axis_loops)
         garbage.after_tick(tick.deadline_s + period_s - service.ticks.margin_s - now_s, driven=driven)
 
     return after_tick

@@ -15,13 +15,13 @@ import structlog
 from twostage_servo.app.assembly import put_axes_in, traits_of
 from twostage_servo.app.axes_preparation import Job, Prepared
 from twostage_servo.axis.refusals import RefusalCode, Refused
-from twostage_servo.service.turns import Rank
+from twostage_servo.service.background_server import Priority
 from twostage_servo.worker_thread import WorkerThread
 
 if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis
     from twostage_servo.config.machine import Machine
-    from twostage_servo.service.loop import ServoService
+    from twostage_servo.service.servo_service import ServoService
 
 LONGEST_S: Final = 60.0
 _COMMAND: Final = (sys.executable, "-P", "-c", "from twostage_servo.app.axes_preparation import main; main()")
@@ -83,7 +83,7 @@ class Reloading:
             raise Refused(RefusalCode.CONFIG, prepared.problem)
         axes: list[Axis] = []
         for packed in prepared.axes:
-            async with self._service.turns.turn(Rank.REQUEST):
+            async with self._service.background.slot(Priority.REQUEST):
                 axes.append(pickle.loads(packed))  # noqa: S301 - from the process that was started here
         return lambda: self._put_in_force(prepared, axes)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from twostage_servo.axis.design import AxisDesign
     from twostage_servo.config.loader import Config, ConfigError, LoadedConfig
     from twostage_servo.config.machine import Machine
-    from twostage_servo.service.station import Station
+    from twostage_servo.service.axis_loop import AxisLoop
 
 _UNIT_WAITS_S = 15.0
 """TimeoutStopSec= of the unit that comes with the program."""
@@ -67,7 +67,7 @@ def _check(options: argparse.Namespace) -> ExitCode:
     with configuration_problems():
         service = build_service(machine)
     summaries = [
-        _summary(machine, loaded, station) for loaded, station in zip(machine.axes, service.stations, strict=True)
+        _summary(machine, loaded, axis_loop) for loaded, axis_loop in zip(machine.axes, service.axis_loops, strict=True)
     ]
     ends_within_s = longest_end_s(service.settings, (loaded.config.axis.arming_timeout_ms for loaded in machine.axes))
     if options.json:
@@ -83,8 +83,8 @@ def _check(options: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE
 
 
-def _summary(machine: "Machine", loaded: "LoadedConfig[Config]", station: "Station") -> dict[str, Any]:
-    config, profile, axis = loaded.config, station.profile, station.axis
+def _summary(machine: "Machine", loaded: "LoadedConfig[Config]", axis_loop: "AxisLoop") -> dict[str, Any]:
+    config, profile, axis = loaded.config, axis_loop.profile, axis_loop.axis
     return {
         "axis": config.axis.name,
         "bus": {"interface": config.bus.interface, "channel": config.bus.channel},
@@ -99,28 +99,28 @@ def _summary(machine: "Machine", loaded: "LoadedConfig[Config]", station: "Stati
         "cruise_velocity": config.axis.cruise_velocity,
         "detection": _detection(axis.design),
         "notes": list(_notes(config, axis.design.period_s)),
-        "warnings": [*_warnings(loaded, station), *_warnings_of_the_end(machine, station)],
+        "warnings": [*_warnings(loaded, axis_loop), *_warnings_of_the_end(machine, axis_loop)],
     }
 
 
-def _warnings(loaded: "LoadedConfig[Config]", station: "Station") -> "Iterator[dict[str, Any]]":
+def _warnings(loaded: "LoadedConfig[Config]", axis_loop: "AxisLoop") -> "Iterator[dict[str, Any]]":
     """Yield the limits that protect from nothing, with the place where each is set."""
     from twostage_servo.axis.weak_limits import weak_limits
 
-    traits = station.profile.traits
-    for weak in weak_limits(station.axis.design, traits.position_quantum, heartbeat=traits.has_heartbeat):
+    traits = axis_loop.profile.traits
+    for weak in weak_limits(axis_loop.axis.design, traits.position_quantum, heartbeat=traits.has_heartbeat):
         yield _warning(loaded.problem(("axis", *weak.key), weak.disables), weak.value, weak.do)
 
 
-def _warnings_of_the_end(machine: "Machine", station: "Station") -> "Iterator[dict[str, Any]]":
+def _warnings_of_the_end(machine: "Machine", axis_loop: "AxisLoop") -> "Iterator[dict[str, Any]]":
     """Yield the shut-down time-out, where the file states one in which the axis does not come to rest."""
     from twostage_servo.service.settings import stop_ms
 
-    settings, axis = machine.service, station.axis
+    settings, axis = machine.service, axis_loop.axis
     needed_ms, speed = stop_ms(axis.design), axis.settings.limits.velocity
     if "shutdown_timeout_ms" in settings.model_fields_set and settings.shutdown_timeout_ms < needed_ms:
         disables = (
-            f"the braking at the end of the service: axis {station.name} takes {needed_ms:.0f} ms to stop from "
+            f"the braking at the end of the service: axis {axis_loop.name} takes {needed_ms:.0f} ms to stop from "
             f"{speed:g} {axis.settings.unit}/s, and its drive is disabled before, so that it coasts"
         )
         problem = machine.problem(("service", "shutdown_timeout_ms"), disables)

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from twostage_servo.config.machine import Machine
     from twostage_servo.drives.dbc.profile import DriveProfile
     from twostage_servo.service.ending_signals import EndingSignals
-    from twostage_servo.service.loop import ServoService
     from twostage_servo.service.notify import Notifier
+    from twostage_servo.service.servo_service import ServoService
     from twostage_servo.timing.ticks import Tick
 
 
@@ -107,8 +107,8 @@ async def _serve(
     trip_files = TripFiles(Path(machine.service.trip_folder or default_folder()))
     with _threads():
         trip_files.start()
-    for station in service.stations:
-        station.reporter.trip_files = trip_files
+    for axis_loop in service.axis_loops:
+        axis_loop.event_log.trip_files = trip_files
     overrides = tuple(options.overrides)
     service.desk.prepare = Reloading(service, machine, find_configuration(options.config), overrides).prepare
     control = ControlSocket(path, service, time_asleep_s)
@@ -120,7 +120,7 @@ async def _serve(
     service.publishers.append(StatusLine(service, notifier.status).publish)
     service.publishers.append(_feeder(service, notifier, loop))
     notifier.ready()
-    names = [station.name for station in service.stations]
+    names = [axis_loop.name for axis_loop in service.axis_loops]
     structlog.get_logger().info("listening", socket=str(path), config=machine.source, axes=names)
     try:
         await service.run()
@@ -158,7 +158,7 @@ def _feeder(
 def _longest_end_s(service: "ServoService") -> float:
     from twostage_servo.service.settings import longest_end_s
 
-    return longest_end_s(service.settings, (station.axis.settings.arming_timeout_ms for station in service.stations))
+    return longest_end_s(service.settings, (one.axis.settings.arming_timeout_ms for one in service.axis_loops))
 
 
 def _drive(options: argparse.Namespace) -> int:

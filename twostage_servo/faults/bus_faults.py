@@ -25,7 +25,7 @@ def on_feedback(world: World, act: Callable[[int, can.Message], Deliveries]) -> 
 
     def disturb(sender: str, message: can.Message, _: float) -> Deliveries:
         nonlocal seen
-        if sender != DRIVE or not world.station.profile.is_feedback(message):
+        if sender != DRIVE or not world.axis_loop.profile.is_feedback(message):
             return [(0.0, message)]
         seen += 1
         return act(seen - 1, message)
@@ -136,7 +136,7 @@ def babble(world: World, random: Random) -> None:
     """Let a node send frames of other identifiers for half a second: 15 in a ms, 150 in a tick at most."""
     node = world.wire.node(SERVICE)
     count = round(min(15e3 * world.period_s, 150.0))
-    profiles = [station.profile for station in world.service.stations]
+    profiles = [axis_loop.profile for axis_loop in world.service.axis_loops]
     known = {one.identifier for profile in profiles for one in (*profile.controller_identifiers, profile.command_id)}
     others = [number for number in range(0x800) if number not in known]
     end_s = world.now_s + 0.5
@@ -155,9 +155,9 @@ def back_up(world: World, _: Random) -> None:
 
     What the drive sends waits behind them, longer with each tick.
     """
-    node, link = world.wire.node(SERVICE), world.station.port.link
+    node, link = world.wire.node(SERVICE), world.axis_loop.bus.link
     node.queue_length = 1_000_000
-    profiles = [station.profile for station in world.service.stations]
+    profiles = [axis_loop.profile for axis_loop in world.service.axis_loops]
     known = {one.identifier for profile in profiles for one in (*profile.controller_identifiers, profile.command_id)}
     foreign = next(number for number in range(0x7FF, 0, -1) if number not in known)
     frame = can.Message(arbitration_id=foreign, is_extended_id=False, is_fd=link.settings.fd, data=bytes(8))
@@ -175,7 +175,7 @@ def back_up(world: World, _: Random) -> None:
 
 def foreign_command(world: World, _: Random) -> None:
     """Let another node command the drive, for a second: to be disabled, so that nothing else comes of it."""
-    profile = world.station.profile
+    profile = world.axis_loop.profile
     node = world.wire.node(SERVICE)
     end_s = world.now_s + 1.0
     counter = 0
@@ -186,7 +186,7 @@ def foreign_command(world: World, _: Random) -> None:
             counter += 1
             data = profile.encode_command(0.0, enable=False, counter=counter)
             number, extended = profile.command_id
-            fd = world.station.port.link.settings.fd
+            fd = world.axis_loop.bus.link.settings.fd
             node.inject(can.Message(arbitration_id=number, is_extended_id=extended, is_fd=fd, data=data))
 
     command(None)
@@ -195,7 +195,7 @@ def foreign_command(world: World, _: Random) -> None:
 
 def malformed(world: World, random: Random) -> None:
     """Send frames with the feedback's number and a wrong length, kind or identifier, beside the good ones."""
-    profile = world.station.profile
+    profile = world.axis_loop.profile
     number, extended = profile.feedback_id
     data = random.randbytes(8)
     node = world.wire.node(SERVICE)

@@ -29,14 +29,14 @@ async def arrived(world: World) -> str | None:
 
 async def bus_error_reported(world: World) -> str | None:
     """Check that the controller's state is known."""
-    state = world.station.port.link.controller_state
+    state = world.axis_loop.bus.link.controller_state
     return None if state == "passive" else f"the controller's state is reported as {state}"
 
 
 async def came_back_disarmed(world: World) -> str | None:
     """Check that the bus is open again, and nothing has been armed by that."""
-    if world.station.port.error is not None:
-        return f"the bus is not open again: {world.station.port.error}"
+    if world.axis_loop.bus.error is not None:
+        return f"the bus is not open again: {world.axis_loop.bus.error}"
     if world.axis.state not in {State.TRIPPED, State.DISARMED, State.HOLDING}:
         return f"the axis is {world.axis.state}"
     return "the drive is enabled" if world.axis.state is State.TRIPPED and world.drive.enabled else None
@@ -44,7 +44,7 @@ async def came_back_disarmed(world: World) -> str | None:
 
 async def rejected_some(world: World) -> str | None:
     """Check that the frames were counted, each with a reason."""
-    counters = world.station.port.link.counters
+    counters = world.axis_loop.bus.link.counters
     if counters.rejected == 0:
         return "no frame was counted as rejected"
     by_reason = sum(counters.rejected_by_reason.values())
@@ -138,7 +138,7 @@ async def still_seen(world: World) -> str | None:
     if world.axis.drive.is_stale or position is None:
         return "the position is not seen any more"
     apart = abs(position - world.drive.position)
-    resolution = 2.0 * max(world.station.profile.traits.position_quantum, world.simulation.quantum)
+    resolution = 2.0 * max(world.axis_loop.profile.traits.position_quantum, world.simulation.quantum)
     return None if apart <= resolution + world.axis.settings.window.position else f"the position is off by {apart:.4g}"
 
 

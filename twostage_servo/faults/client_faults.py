@@ -11,7 +11,7 @@ from twostage_servo.api.request_reading import LONGEST_LINE
 from twostage_servo.axis.state import State
 from twostage_servo.faults.host_faults import stall
 from twostage_servo.faults.world import OPERATOR, World
-from twostage_servo.service.turns import Rank
+from twostage_servo.service.background_server import Priority
 
 FREEZE_S: Final = 1.5
 """For so long the service stands still: longer than a command may wait."""
@@ -27,12 +27,12 @@ _DROPPED: Final = "dropped"
 def leave_too_soon(world: World, _: Random) -> None:
     """Let a client ask for motion while others are served, and go before it is its turn."""
     _count_what_is_carried_out(world)
-    world.service.desk.lease.release(OPERATOR)
+    world.service.desk.authority.release(OPERATOR)
     world.spawn(_leave_too_soon(world))
 
 
 async def _leave_too_soon(world: World) -> None:
-    async with world.service.turns.turn(Rank.REQUEST):
+    async with world.service.background.slot(Priority.REQUEST):
         async with world.client() as (_, writer):
             writer.write(b'{"op": "move", "by": 1.0}\n{"op": "home", "position": 0.0}\n{"op": "arm"}\n')
         await writer.wait_closed()
@@ -47,7 +47,7 @@ def freeze(world: World, random: Random) -> None:
     its reference, which has nothing to do with requests.
     """
     _count_what_is_carried_out(world)
-    world.service.desk.lease.release(OPERATOR)
+    world.service.desk.authority.release(OPERATOR)
     if world.axis.state is State.DISARMED:
         world.spawn(_hold_requests_up(world))
     else:
@@ -56,7 +56,7 @@ def freeze(world: World, random: Random) -> None:
 
 
 async def _hold_requests_up(world: World) -> None:
-    async with world.service.turns.turn(Rank.REQUEST):
+    async with world.service.background.slot(Priority.REQUEST):
         await asyncio.sleep(FREEZE_S)
 
 

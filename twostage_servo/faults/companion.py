@@ -10,8 +10,8 @@ from twostage_servo.simulation.node import DriveNode
 from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
-    from twostage_servo.service.group import GroupReaction
-    from twostage_servo.service.station import Station
+    from twostage_servo.service.axis_group import GroupReaction
+    from twostage_servo.service.axis_loop import AxisLoop
 
 _LONGEST_RUN_S = 60.0
 """For so long its way has to be free."""
@@ -23,21 +23,21 @@ class Companion:
 
     Parameters
     ----------
-    station
+    axis_loop
         The axis in its service.
     drive, node
         Its simulated drive.
 
     Attributes
     ----------
-    station, drive, node
+    axis_loop, drive, node
         As given.
     states
         What it did since the fault, each state once.
     """
 
-    def __init__(self, station: "Station", drive: SimulatedDrive, node: DriveNode) -> None:
-        self.station = station
+    def __init__(self, axis_loop: "AxisLoop", drive: SimulatedDrive, node: DriveNode) -> None:
+        self.axis_loop = axis_loop
         self.drive = drive
         self.node = node
         self.states: set[State] = set()
@@ -47,16 +47,16 @@ class Companion:
     @property
     def name(self) -> str:
         """The axis' name."""
-        return self.station.name
+        return self.axis_loop.name
 
     @property
     def ready(self) -> bool:
         """Whether it can be armed."""
-        return self.station.axis.ready_to_arm
+        return self.axis_loop.axis.ready_to_arm
 
     def begin(self) -> None:
         """Arm it; it jogs as soon as it holds, to the side where there is more room."""
-        axis = self.station.axis
+        axis = self.axis_loop.axis
         limits, place = axis.settings.limits, self.drive.position
         if not axis.referenced:
             axis.set_position(place)
@@ -68,11 +68,11 @@ class Companion:
 
     def forget(self) -> None:
         """Begin to note what it does: the fault comes now."""
-        self.states = {self.station.axis.state}
+        self.states = {self.axis_loop.axis.state}
 
     def on_tick(self, tick: Tick) -> None:
         """Keep jogging for as long as nothing has stopped it, as an operator does who holds a button."""
-        axis = self.station.axis
+        axis = self.axis_loop.axis
         self.states.add(axis.state)
         starts = self._jogs and axis.state is State.HOLDING
         every = max(1, int(axis.settings.jog_timeout_ms / (4.0 * axis.design.period_s * 1e3)))
@@ -84,7 +84,7 @@ class Companion:
     @property
     def jogs(self) -> bool:
         """Whether it is on its way."""
-        return self.station.axis.state is State.JOGGING
+        return self.axis_loop.axis.state is State.JOGGING
 
     def complaint(self, reaction: "GroupReaction", *, tripped: bool, shared: bool) -> str:
         """Return what it did wrong, or nothing.
@@ -98,7 +98,7 @@ class Companion:
         shared
             Whether the fault is one of what all axes share, so that it may have tripped as well.
         """
-        axis, name = self.station.axis, self.name
+        axis, name = self.axis_loop.axis, self.name
         if axis.trip is not None:
             return "" if shared else f"axis {name} tripped as well: {axis.trip.cause}"
         if shared and not tripped:  # a lost operator, a bus that came back: what it does then is the fault's own row

@@ -92,8 +92,8 @@ def full_disk(world: World, _: Random) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
     files = TripFiles(Path(tempfile.gettempdir()) / "nowhere", no_space)
-    world.station.reporter.trip_files = files
-    _for_ticks(world, 20, lambda: files.write("full", {}, world.station.recorder.records()))
+    world.axis_loop.event_log.trip_files = files
+    _for_ticks(world, 20, lambda: files.write("full", {}, world.axis_loop.recorder.records()))
 
 
 def blocked_log(world: World, _: Random) -> None:
@@ -162,7 +162,7 @@ def bad_set_points(world: World, _: Random) -> None:
 
 def second_client(world: World, _: Random) -> None:
     """Let another client command the axis that the operator holds; it has to be refused."""
-    world.service.desk.lease.demand(OPERATOR)
+    world.service.desk.authority.demand(OPERATOR)
     target = world.drive.position
     for request in ({"op": "move", "position": target}, {"op": "arm"}, {"op": "reset"}, {"op": "jog", "velocity": 1.0}):
         world.refusals.append(world.ask(request, ANOTHER))
@@ -170,7 +170,7 @@ def second_client(world: World, _: Random) -> None:
 
 def client_dies(world: World, _: Random) -> None:
     """End the operator's connection without a word."""
-    world.service.desk.lease.demand(OPERATOR)
+    world.service.desk.authority.demand(OPERATOR)
     world.service.desk.leave(OPERATOR)
 
 
@@ -178,7 +178,7 @@ def reload(world: World, _: Random) -> None:
     """Ask the service to read its configuration again."""
     world.service.desk.reload = lambda: None
     world.refusals.append(world.ask('{"op": "reload"}'))
-    world.service.desk.lease.release(OPERATOR)
+    world.service.desk.authority.release(OPERATOR)
 
 
 def retarget(world: World, random: Random) -> None:

@@ -90,7 +90,7 @@ def _trip_while(
     def inject(world: World, random: Random) -> None:
         files = _Threaded(world.folder / "trips", writer)
         files.start()
-        world.station.reporter.trip_files = files
+        world.axis_loop.event_log.trip_files = files
         world.held.callback(files.close)
         world.held.enter_context(exhausted)
         foreign_command(world, random)
@@ -185,7 +185,7 @@ async def told_that_no_memory_is_left(world: World) -> str | None:
 
 
 async def _after_the_trip(world: World, expected_error: str) -> str | None:
-    files = world.station.reporter.trip_files
+    files = world.axis_loop.event_log.trip_files
     if world.axis.trip is not None and isinstance(files, _Threaded):
         files.wait()
         error = files.error or ""

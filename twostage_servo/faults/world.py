@@ -28,7 +28,7 @@ from twostage_servo.timing.ticks import Tick, Ticks
 
 if TYPE_CHECKING:
     from twostage_servo.service.log import LogWriter
-    from twostage_servo.service.loop import ServoService
+    from twostage_servo.service.servo_service import ServoService
 
 SERVICE, DRIVE = "service", "drive"
 """Names of the two nodes on the wire."""
@@ -76,8 +76,8 @@ class World:
 
     Attributes
     ----------
-    service, station, drive, wire, ticks
-        The parts, each with its own ways to fail; station and drive are those of the axis that has the fault.
+    service, axis_loop, drive, wire, ticks
+        The parts, each with its own ways to fail; axis_loop and drive are those of the axis that has the fault.
     companions, when_one_trips
         The other axes of the machine, and what they do when one trips.
     simulation
@@ -114,14 +114,14 @@ class World:
         bus = _BUS.with_frames_of(loaded.config.bus)
         self.service: ServoService = build_service(machine, bus, lambda _: self.wire.attach(SERVICE))
         self.when_one_trips = machine.when_one_trips
-        self.station = self.service.station(axis_name)
+        self.axis_loop = self.service.axis_loop(axis_name)
         self.simulation = loaded.config.simulation
         self.ticks = HeldTicks(self.service.ticks.period_s)
         self.service.ticks = self.ticks
         self.service.publishers.append(self._on_tick)
         self.drive, self.node = self._drive(loaded, DRIVE, bus)
         self.companions = [
-            Companion(self.service.station(one.config.axis.name), *self._drive(one, one.config.axis.name, bus))
+            Companion(self.service.axis_loop(one.config.axis.name), *self._drive(one, one.config.axis.name, bus))
             for one in machine.axes
             if one is not loaded
         ]
@@ -145,7 +145,7 @@ class World:
     def _drive(self, loaded: LoadedConfig[Config], name: str, bus: BusSettings) -> tuple[SimulatedDrive, DriveNode]:
         """Return the simulated drive of an axis, at a node of its own."""
         settings = loaded.config.simulation
-        profile = self.service.station(loaded.config.axis.name).profile
+        profile = self.service.axis_loop(loaded.config.axis.name).profile
         drive = SimulatedDrive(settings, profile, asyncio.get_running_loop().time())
         link = Link(bus, profile.drive_identifiers, functools.partial(self.wire.attach, name))
         at = self.wire.node(name)
@@ -156,7 +156,7 @@ class World:
     @property
     def axis(self) -> Axis:
         """The axis that has the fault."""
-        return self.station.axis
+        return self.axis_loop.axis
 
     @property
     def now_s(self) -> float:
@@ -227,7 +227,7 @@ class World:
         """Make a request of a client; return the code with which it is refused, or None if it was carried out."""
         line = request if isinstance(request, str) else json.dumps(request)
         if self.companions and '"op": "reload"' not in line:
-            line = f'{line.rstrip()[:-1]}, "axis": {json.dumps(self.station.name)}}}'
+            line = f'{line.rstrip()[:-1]}, "axis": {json.dumps(self.axis_loop.name)}}}'
         try:
             self.service.handle(parse_request(line.encode()), client)
         except BadRequestError:
@@ -302,7 +302,7 @@ class World:
 
     def take_sample(self) -> None:
         """Keep a sample of this very moment."""
-        place, effort = self.place(), self.station.command.effort
+        place, effort = self.place(), self.axis_loop.command.effort
         self.samples.append(Sample(self.now_s, place, self.drive.velocity, effort, str(self.axis.state)))
 
     def _on_tick(self, _: Tick) -> None:

@@ -29,6 +29,7 @@ from twostage_servo.api.request_reading import (
 from twostage_servo.api.requests import BadRequestError, Request, WatchRequest
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.service import answers
+from twostage_servo.service.background_server import Priority, priority_of
 from twostage_servo.service.connection import Connection, wake
 from twostage_servo.service.connections import MOST, Connections
 from twostage_servo.service.newcomers import Newcomers
@@ -36,11 +37,10 @@ from twostage_servo.service.request_age import RequestAge, no_time_asleep
 from twostage_servo.service.request_handler import RequestHandler
 from twostage_servo.service.socket_file import SocketFile, SocketInUseError
 from twostage_servo.service.status_lines import StatusLines
-from twostage_servo.service.turns import Rank, rank_of
 from twostage_servo.service.watchers import Watchers
 
 if TYPE_CHECKING:
-    from twostage_servo.service.loop import ServoService
+    from twostage_servo.service.servo_service import ServoService
 
 __all__ = ["ControlSocket", "SocketInUseError"]
 
@@ -89,7 +89,7 @@ class ControlSocket:
     def __init__(self, path: Path, service: "ServoService", asleep_s: Callable[[], float] = no_time_asleep) -> None:
         self.path = path
         self._service = service
-        self._turns = service.turns
+        self._background = service.background
         self._age = RequestAge(service.ticks.period_s, asleep_s)
         self._status = StatusLines(service)
         self._handler = RequestHandler(service, self._status, self._age)
@@ -97,8 +97,8 @@ class ControlSocket:
         self._newcomers: Newcomers | None = None
         self._turned_away = 0
         self._next_report_s = -math.inf
-        self._watchers = Watchers(self._connections, self._status, service.turns)
-        self._longest = longest_line(station.name for station in service.stations)
+        self._watchers = Watchers(self._connections, self._status, service.background)
+        self._longest = longest_line(axis_loop.name for axis_loop in service.axis_loops)
         self._numbers = itertools.count(1)
         self._serving: set[asyncio.Task[None]] = set()
         self._file = SocketFile(path, _BACKLOG)
@@ -120,7 +120,7 @@ class ControlSocket:
         newcomers = self._newcomers = Newcomers(self._age)
         listen = functools.partial(self._listen, newcomers)
         listening = listen(listener)
-        keeping = self._file.keep(lambda: self._turns.turn(Rank.CONNECTION), listen, listening, listener)
+        keeping = self._file.keep(lambda: self._background.slot(Priority.CONNECTION), listen, listening, listener)
         serving = (keeping, self._watch(), self._hear_out(newcomers), self._let_wait(newcomers))
         self._working = [asyncio.create_task(one) for one in serving]
 
@@ -161,7 +161,7 @@ class ControlSocket:
                 await newcomers.room()
                 await door.somebody()
                 try:
-                    async with self._turns.turn(Rank.CONNECTION):
+                    async with self._background.slot(Priority.CONNECTION):
                         self._let_some_in(newcomers, door)
                 except Exception as error:  # noqa: BLE001 - no descriptor is left, or a defect: nobody is shut out for good
                     self._log.warning("no client can be let in", error=repr(error), retry_s=_PAUSE_S)
@@ -170,7 +170,7 @@ class ControlSocket:
 
     def _let_some_in(self, newcomers: Newcomers, door: "_Door") -> None:
         clock = asyncio.get_running_loop().time
-        until_s = clock() + self._turns.slice_s
+        until_s = clock() + self._background.slice_s
         for _ in range(_MOST_A_TURN):
             if newcomers.pause_s() > 0.0:
                 return
@@ -206,13 +206,13 @@ class ControlSocket:
         """Read the first request of each who had none when he was let in."""
         while True:
             await newcomers.somebody_speaks()
-            async with self._turns.turn(Rank.CONNECTION):
+            async with self._background.slot(Priority.CONNECTION):
                 self._hear_some_out(newcomers)
             await asyncio.sleep(0)
 
     def _hear_some_out(self, newcomers: Newcomers) -> None:
         clock = asyncio.get_running_loop().time
-        until_s = clock() + self._turns.slice_s
+        until_s = clock() + self._background.slice_s
         for connection in newcomers.speaking(_MOST_A_TURN):
             connection.receive()
             if connection.ended or connection.has_line:
@@ -241,13 +241,13 @@ class ControlSocket:
         """Find a place for each who waits for one."""
         while True:
             await newcomers.somebody_waits()
-            async with self._turns.turn(Rank.CONNECTION):
+            async with self._background.slot(Priority.CONNECTION):
                 self._admit_some(newcomers)
             await asyncio.sleep(0)
 
     def _admit_some(self, newcomers: Newcomers) -> None:
         clock = asyncio.get_running_loop().time
-        until_s = clock() + self._turns.slice_s
+        until_s = clock() + self._background.slice_s
         for _ in range(_MOST_A_TURN):
             waiting = newcomers.next_waiting()
             if waiting is None:
@@ -299,7 +299,7 @@ class ControlSocket:
         """Return the connection that matters least, and has not asked for anything just now either."""
         connection = None
         for _ in range(_LOOKS):
-            connection = self._connections.the_one_to_go(self._service.desk.lease.holder)
+            connection = self._connections.the_one_to_go(self._service.desk.authority.holder)
             if connection is None or connection.busy or connection.ended or connection.urgent is not None:
                 break
             if not connection.has_line:
@@ -358,7 +358,7 @@ class ControlSocket:
                 if connection.ended:
                     return None
                 await connection.readable()
-            async with self._turns.turn(self._rank_of_reading(connection)):
+            async with self._background.slot(self._priority_of_reading(connection)):
                 request = self._read(connection)
             if request is not None:
                 return request
@@ -366,13 +366,13 @@ class ControlSocket:
                 await connection.taken()
             await asyncio.sleep(0)
 
-    def _rank_of_reading(self, connection: Connection) -> Rank:
+    def _priority_of_reading(self, connection: Connection) -> Priority:
         """Return how a client comes to speak: whoever has been silent for a while need not wait behind those who flood.
 
         It may be the operator, who wants to stop.
         """
         silent_s = asyncio.get_running_loop().time() - connection.read_s
-        return Rank.CONNECTION if silent_s >= _SILENT_TICKS * self._service.ticks.period_s else Rank.READING
+        return Priority.CONNECTION if silent_s >= _SILENT_TICKS * self._service.ticks.period_s else Priority.READING
 
     def _read(self, connection: Connection) -> Request | None:
         """Read once; return a request if there is one, and answer what is none."""
@@ -392,14 +392,14 @@ class ControlSocket:
         except BadRequestError as error:
             connection.write(answers.failure(RefusalCode.BAD_REQUEST, str(error)))
             return None
-        if rank_of(request) is Rank.URGENT:
+        if priority_of(request) is Priority.URGENT:
             connection.urgent = request
         return request
 
     def _drop_readings(self, connection: Connection) -> bool:
         """Forget what a client that has gone only wanted to know; return whether no other line is left for now."""
         clock = asyncio.get_running_loop().time
-        until_s = clock() + self._turns.slice_s
+        until_s = clock() + self._background.slice_s
         for _ in range(_MOST_DROPPED):
             if not connection.drop_lines_without(COMMAND_WORDS) and connection.has_line:
                 return False
@@ -415,7 +415,7 @@ class ControlSocket:
         connection.look()
         pieces: Iterator[bytes] | None = None if refused is None else refused.pieces
         while is_more:
-            async with self._turns.turn(rank_of(request)):
+            async with self._background.slot(priority_of(request)):
                 if connection.closed:
                     return  # it has been told that its connection ends, and must not set an axis moving after that
                 if pieces is None:
@@ -432,7 +432,7 @@ class ControlSocket:
     def _send_some(self, connection: Connection, pieces: Iterator[bytes]) -> bool:
         """Make and send some pieces of an answer; return whether there may be more."""
         clock = asyncio.get_running_loop().time
-        until_s = clock() + self._turns.slice_s
+        until_s = clock() + self._background.slice_s
         made = []
         for _ in range(_MOST_A_TURN):
             piece = next(pieces, None)

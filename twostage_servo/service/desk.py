@@ -23,16 +23,16 @@ from twostage_servo.api.requests import (
 )
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
-from twostage_servo.service.lease import Lease
-from twostage_servo.service.together import velocities_to_arrive_together
+from twostage_servo.service.authority import Authority
+from twostage_servo.service.synchronised_move import velocities_to_arrive_together
 from twostage_servo.telemetry.recorder import Record
 
 if TYPE_CHECKING:
     from collections.abc import Awaitable, Callable, Iterator, Sequence
 
     from twostage_servo.axis.axis import Axis
-    from twostage_servo.service.loop import ServoService
-    from twostage_servo.service.station import Station
+    from twostage_servo.service.axis_loop import AxisLoop
+    from twostage_servo.service.servo_service import ServoService
 
 _IN_MOTION = MOVING | BRAKING | {State.JOGGING, State.HOMING}
 
@@ -57,7 +57,7 @@ class Desk:
 
     def __init__(self, service: "ServoService") -> None:
         self._service = service
-        self.lease = Lease()
+        self.authority = Authority()
         self.reload: Callable[[], None] | None = None
         self.prepare: Callable[[], Awaitable[Callable[[], None]]] | None = None
         self._preparing: str | None = None  # the client for whom a configuration is being read
@@ -100,7 +100,7 @@ class Desk:
         self._service.fail(error)
         return Refused(RefusalCode.INTERNAL_ERROR, f"{type(error).__name__}: {error}; the service is stopping")
 
-    def station(self, name: str | None) -> "Station":
+    def axis_loop(self, name: str | None) -> "AxisLoop":
         """Return the axis of a name; without one, the only axis.
 
         Raises
@@ -109,40 +109,40 @@ class Desk:
             If there is none of this name, or no name and several axes.
         """
         try:
-            return self._service.station(name)
+            return self._service.axis_loop(name)
         except KeyError:
-            names = ", ".join(station.name for station in self._service.stations)
+            names = ", ".join(axis_loop.name for axis_loop in self._service.axis_loops)
             text = f"there is no axis {name}" if name is not None else "this concerns one axis, and there are several"
             raise Refused(RefusalCode.WHICH_AXIS, f"{text}: name one of {names}.") from None
 
     def _handle(self, request: Request, client: str) -> dict[str, Any]:
         name = request.axis if isinstance(request, AxisRequest) else None
         if name is not None:
-            self.station(name)  # which refuses one that there is not
+            self.axis_loop(name)  # which refuses one that there is not
         if isinstance(request, RecordingRequest):
-            return {"fields": Record._fields, "records": self.station(name).recorder.records()}
+            return {"fields": Record._fields, "records": self.axis_loop(name).recorder.records()}
         if not isinstance(request, READING):
             self._carry_out(request, client)
         return self._service.snapshot(name)
 
     def _carry_out(self, request: Request, client: str) -> None:
         if isinstance(request, AxisRequest) and request.axis is not None:
-            self.station(request.axis)
+            self.axis_loop(request.axis)
         if self._service.is_ending:
             raise Refused(RefusalCode.ENDING, "the service is ending: nothing but reading is possible any more.")
         self._command(request, client)
 
     def leave(self, client: str) -> None:
         """Take notice that a client's connection has ended; one that has commanded has not given its lease back."""
-        if not self.lease.release(client):
+        if not self.authority.release(client):
             return
         policy = self._service.settings.holder_lost
-        for station in self._service.stations:
-            axis = station.axis
+        for axis_loop in self._service.axis_loops:
+            axis = axis_loop.axis
             if axis.state is State.JOGGING:
                 axis.stop(f"{client} has gone, who held the jog")
             elif axis.state in COMMANDED and policy != "continue":
-                self._log.warning("the lease's holder has gone", axis=station.name, client=client, policy=policy)
+                self._log.warning("the lease's holder has gone", axis=axis_loop.name, client=client, policy=policy)
                 reason = f"{client} has gone, who commanded the move (service.holder_lost is {policy})"
                 if policy == "stop":
                     axis.stop(reason)
@@ -152,88 +152,88 @@ class Desk:
     def _command(self, request: Request, client: str) -> None:
         match request:
             case StopRequest(quick=quick):  # whoever commands, everybody may bring the axes to rest
-                self._stop(self._stations(request), client, quick=quick)
+                self._stop(self._axis_loops(request), client, quick=quick)
             case DisarmRequest():
-                for station in self._stations(request):
-                    station.axis.disarm()
+                for axis_loop in self._axis_loops(request):
+                    axis_loop.axis.disarm()
             case ReleaseRequest():
-                self.lease.release(client)
+                self.authority.release(client)
             case TakeRequest():
-                at_rest = all(station.axis.state not in _IN_MOTION for station in self._service.stations)
-                self.lease.take(client, at_rest=at_rest)
+                at_rest = all(axis_loop.axis.state not in _IN_MOTION for axis_loop in self._service.axis_loops)
+                self.authority.take(client, at_rest=at_rest)
             case _:
-                with self.lease.demanded(client):
+                with self.authority.demanded(client):
                     self._command_as_holder(request, client)
 
     def _command_as_holder(self, request: Request, client: str) -> None:
         match request:
             case ArmRequest():
-                self._arm(self._stations(request))
+                self._arm(self._axis_loops(request))
             case ResetRequest():
-                self._reset(self._stations(request))
+                self._reset(self._axis_loops(request))
             case MoveRequest(positions=None):
-                station = self.station(request.axis)
-                with self._named(station):
-                    self._move(station.axis, request)
+                axis_loop = self.axis_loop(request.axis)
+                with self._named(axis_loop):
+                    self._move(axis_loop.axis, request)
             case MoveRequest():
                 self._move_together(request)
             case JogRequest(velocity=velocity):
-                station = self.station(request.axis)
-                with self._named(station):
-                    station.axis.jog(velocity)
+                axis_loop = self.axis_loop(request.axis)
+                with self._named(axis_loop):
+                    axis_loop.axis.jog(velocity)
             case HomeRequest(position=position):
-                station = self.station(request.axis)
-                with self._named(station):
+                axis_loop = self.axis_loop(request.axis)
+                with self._named(axis_loop):
                     if position is None:
-                        station.axis.home()
+                        axis_loop.axis.home()
                     else:
-                        station.axis.set_position(position)
+                        axis_loop.axis.set_position(position)
             case ReloadRequest():
                 self._reload(client)
 
     # Which axes ------------------------------------------------------------------------------------------------------
 
-    def _stations(self, request: AxisRequest) -> "Sequence[Station]":
-        return self._service.stations if request.axis is None else [self.station(request.axis)]
+    def _axis_loops(self, request: AxisRequest) -> "Sequence[AxisLoop]":
+        return self._service.axis_loops if request.axis is None else [self.axis_loop(request.axis)]
 
     @contextlib.contextmanager
-    def _named(self, station: "Station") -> "Iterator[None]":
+    def _named(self, axis_loop: "AxisLoop") -> "Iterator[None]":
         """Let a refusal say which axis it is that refuses, where there are several."""
         try:
             yield
         except Refused as error:
-            if len(self._service.stations) == 1:
+            if len(self._service.axis_loops) == 1:
                 raise
-            raise Refused(error.code, f"axis {station.name}: {error}") from error
+            raise Refused(error.code, f"axis {axis_loop.name}: {error}") from error
 
     # What is asked of several at once is asked of all of them or of none ---------------------------------------------
 
-    def _stop(self, stations: "Sequence[Station]", client: str, *, quick: bool) -> None:
-        stoppable = [station for station in stations if station.axis.can_stop]
-        if self.lease.holder not in {None, client}:
-            for station in stoppable:
-                station.axis.bar_jog()
-        for station in stoppable or stations:  # none can: the first says why
-            with self._named(station):
-                station.axis.stop(quick=quick)
+    def _stop(self, axis_loops: "Sequence[AxisLoop]", client: str, *, quick: bool) -> None:
+        stoppable = [axis_loop for axis_loop in axis_loops if axis_loop.axis.can_stop]
+        if self.authority.holder not in {None, client}:
+            for axis_loop in stoppable:
+                axis_loop.axis.bar_jog()
+        for axis_loop in stoppable or axis_loops:  # none can: the first says why
+            with self._named(axis_loop):
+                axis_loop.axis.stop(quick=quick)
 
-    def _arm(self, stations: "Sequence[Station]") -> None:
-        for station in stations:
-            with self._named(station):
-                if station.port.error is not None:
-                    raise Refused(RefusalCode.BUS_CLOSED, f"the bus is not open: {station.port.error}")
-                station.axis.check_arming()
-        for station in stations:
-            station.axis.arm()
+    def _arm(self, axis_loops: "Sequence[AxisLoop]") -> None:
+        for axis_loop in axis_loops:
+            with self._named(axis_loop):
+                if axis_loop.bus.error is not None:
+                    raise Refused(RefusalCode.BUS_CLOSED, f"the bus is not open: {axis_loop.bus.error}")
+                axis_loop.axis.check_arming()
+        for axis_loop in axis_loops:
+            axis_loop.axis.arm()
 
-    def _reset(self, stations: "Sequence[Station]") -> None:
-        tripped = [station for station in stations if station.axis.trip is not None] or stations
-        for station in tripped:
-            with self._named(station):
-                station.axis.check_reset()
-        for station in tripped:
-            station.axis.reset()
-            station.recorder.discard()
+    def _reset(self, axis_loops: "Sequence[AxisLoop]") -> None:
+        tripped = [axis_loop for axis_loop in axis_loops if axis_loop.axis.trip is not None] or axis_loops
+        for axis_loop in tripped:
+            with self._named(axis_loop):
+                axis_loop.axis.check_reset()
+        for axis_loop in tripped:
+            axis_loop.axis.reset()
+            axis_loop.recorder.discard()
 
     def _move(self, axis: "Axis", request: MoveRequest) -> None:
         speed = axis.settings.cruise_velocity if request.velocity is None else request.velocity
@@ -246,10 +246,10 @@ class Desk:
         assert request.positions is not None  # noqa: S101 - the caller has looked
         moves = []
         for name, position in request.positions.items():
-            station = self.station(name)
-            axis = station.axis
+            axis_loop = self.axis_loop(name)
+            axis = axis_loop.axis
             speed = axis.settings.cruise_velocity if request.velocity is None else request.velocity
-            with self._named(station):
+            with self._named(axis_loop):
                 axis.check_move(position, speed)
             moves.append((axis, position, speed))
         for (axis, position, _), speed in zip(moves, velocities_to_arrive_together(moves), strict=True):
@@ -267,7 +267,7 @@ class Desk:
             raise Refused(RefusalCode.ENDING, "the service is ending: nothing but reading is possible any more.")
         if self.prepare is None:
             return
-        with self.lease.demanded(client):
+        with self.authority.demanded(client):
             self._check_disarmed()
             if self._preparing is not None:
                 raise Refused(RefusalCode.BUSY, f"{self._preparing} has asked for `reload` just now: wait for its end.")
@@ -293,9 +293,9 @@ class Desk:
         self.reload()
 
     def _check_disarmed(self) -> None:
-        for station in self._service.stations:
-            if station.axis.state is not State.DISARMED:
+        for axis_loop in self._service.axis_loops:
+            if axis_loop.axis.state is not State.DISARMED:
                 raise Refused(
                     RefusalCode.ARMED,
-                    f"axis {station.name} is {station.axis.state}: settings are read again only while disarmed.",
+                    f"axis {axis_loop.name} is {axis_loop.axis.state}: settings are read again only while disarmed.",
                 )

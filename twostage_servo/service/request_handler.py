@@ -21,8 +21,8 @@ from twostage_servo.service import answers
 from twostage_servo.telemetry.recorder import Record
 
 if TYPE_CHECKING:
-    from twostage_servo.service.loop import ServoService
     from twostage_servo.service.request_age import RequestAge
+    from twostage_servo.service.servo_service import ServoService
     from twostage_servo.service.status_lines import StatusLines
 
 _NEVER_TOO_LATE: Final = (StopRequest, DisarmRequest, ReleaseRequest)
@@ -126,9 +126,9 @@ class RequestHandler:
         service = self._service
         name = request.axis if isinstance(request, AxisRequest) else None
         if name is not None:
-            service.desk.station(name)  # which refuses one that there is not
+            service.desk.axis_loop(name)  # which refuses one that there is not
         if isinstance(request, RecordingRequest):
-            return answers.recording(Record._fields, service.desk.station(name).recorder.records())
+            return answers.recording(Record._fields, service.desk.axis_loop(name).recorder.records())
         return self._status.line(name, _OK)
 
     def _watched_over(self, pieces: Iterator[bytes]) -> Iterator[bytes]:
@@ -146,7 +146,7 @@ class RequestHandler:
 
     def _stands(self) -> list[tuple[Any, ...]]:
         """Return what a stop changes of each axis, if it changes anything."""
-        axes = [station.axis for station in self._service.stations]
+        axes = [axis_loop.axis for axis_loop in self._service.axis_loops]
         return [
             (axis.state, axis.move, None if axis.move is None else axis.move.outcome, axis.trip, axis.referenced)
             for axis in axes

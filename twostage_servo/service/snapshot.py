@@ -8,8 +8,8 @@ from twostage_servo.axis.state import DRIVEN
 from twostage_servo.timing.histogram import TimeHistogram
 
 if TYPE_CHECKING:
-    from twostage_servo.service.loop import ServoService
-    from twostage_servo.service.station import Station
+    from twostage_servo.service.axis_loop import AxisLoop
+    from twostage_servo.service.servo_service import ServoService
 
 
 def report_service(service: "ServoService") -> dict[str, Any]:
@@ -18,18 +18,18 @@ def report_service(service: "ServoService") -> dict[str, Any]:
         "version": __version__,
         "pid": os.getpid(),
         "uptime_s": round(service.uptime_s, 3),
-        "lease": {"holder": service.desk.lease.holder},
+        "lease": {"holder": service.desk.authority.holder},
         "ticks": service.statistics.summary(),
         "realtime": None if service.host is None else service.host(),
     }
 
 
-def report_axis(station: "Station") -> dict[str, Any]:
+def report_axis(axis_loop: "AxisLoop") -> dict[str, Any]:
     """Return the state of an axis with its drive and its bus, ready for JSON."""
-    axis, estimate, port, receiver = station.axis, station.axis.estimate, station.port, station.receiver
+    axis, estimate, bus, receiver = axis_loop.axis, axis_loop.axis.estimate, axis_loop.bus, axis_loop.receiver
     driven = axis.state in DRIVEN
     age = axis.drive.monitor.ticks_since_fresh
-    counters, file = port.link.counters, station.reporter.trip_file
+    counters, file = bus.link.counters, axis_loop.event_log.trip_file
     return {
         "axis": {
             "name": axis.settings.name,
@@ -44,7 +44,7 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "feedback_age_ms": None if age is None else round(1e3 * age * axis.design.period_s, 3),
             "velocity": estimate.velocity if driven else None,
             "disturbance": estimate.disturbance if driven else None,
-            "effort": station.command.effort,
+            "effort": axis_loop.command.effort,
             "target": axis.set_point if driven else None,
             "following_error": axis.following_error,
             "saturated": driven and axis.saturated,
@@ -103,15 +103,15 @@ def report_axis(station: "Station") -> dict[str, Any]:
             "recent_errors": axis.drive.monitor.recent_errors,
             "predicted": axis.predicted_ticks,
             "age_us": _measured(receiver.frame_age),
-            "feedback_to_command_us": _measured(station.feedback_to_command),
+            "feedback_to_command_us": _measured(axis_loop.feedback_to_command),
         },
         "bus": {
-            "channel": port.link.settings.channel,
-            "open": port.error is None,
-            "error": port.error,
+            "channel": bus.link.settings.channel,
+            "open": bus.error is None,
+            "error": bus.error,
             "drive_state": receiver.drive_state,
-            "controller": port.link.controller_state,
-            "error_counters": port.link.error_counters,
+            "controller": bus.link.controller_state,
+            "error_counters": bus.link.error_counters,
         },
     }
 

@@ -9,8 +9,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from twostage_servo.axis.trips import Trip
-    from twostage_servo.service.loop import ServoService
-    from twostage_servo.service.station import Station
+    from twostage_servo.service.axis_loop import AxisLoop
+    from twostage_servo.service.servo_service import ServoService
     from twostage_servo.timing.ticks import Tick
 
 WORDS: Final = {
@@ -77,37 +77,37 @@ def status_line(service: "ServoService", missed_lately: int) -> str:
         Ticks that were missed in the last second.
     """
     parts = ["ending"] if service.is_ending else []
-    parts += [_of(station) for station in service.stations]
+    parts += [_of(axis_loop) for axis_loop in service.axis_loops]
     if missed_lately:
         parts.append(f"late, {missed_lately} ticks missed in the last second")
     line = " | ".join(printable(" ".join(part.split())) for part in parts)
     return line.encode()[:_LONGEST].decode(errors="ignore")
 
 
-def _of(station: "Station") -> str:
-    axis, port = station.axis, station.port
-    words = f"{station.name} {WORDS[axis.state]}"
+def _of(axis_loop: "AxisLoop") -> str:
+    axis, bus = axis_loop.axis, axis_loop.bus
+    words = f"{axis_loop.name} {WORDS[axis.state]}"
     if axis.disabled.moved is not None:
         words = f"{words}, moved by {axis.disabled.moved:+.3g} {axis.settings.unit} while disabled"
     if axis.trip is not None:
-        words = f"{words}{_of_trip(station, axis.trip)}"
+        words = f"{words}{_of_trip(axis_loop, axis.trip)}"
     elif axis.lasting:
         for one in axis.lasting:
             words = f"{words} ({one.code}): {one.cause.rstrip('.')}. {one.next_action}"
-    elif port.error is not None:
-        words = f"{words}, no bus: {port.error}"
+    elif bus.error is not None:
+        words = f"{words}, no bus: {bus.error}"
     elif axis.drive.is_stale:
         words = f"{words}, the drive is silent"
-    elif port.link.controller_state != "active":
-        words = f"{words}, bus {port.link.settings.channel} error-{port.link.controller_state}"
+    elif bus.link.controller_state != "active":
+        words = f"{words}, bus {bus.link.settings.channel} error-{bus.link.controller_state}"
     return words
 
 
-def _of_trip(station: "Station", trip: "Trip") -> str:
+def _of_trip(axis_loop: "AxisLoop", trip: "Trip") -> str:
     words = f" ({trip.code}): {trip.cause.rstrip('.')}. {trip.next_action}"
-    if (error := station.reporter.trip_file.error) is not None:
+    if (error := axis_loop.event_log.trip_file.error) is not None:
         words = f"{words} Besides: {error}."
-    for one in station.axis.lasting:
+    for one in axis_loop.axis.lasting:
         if one.code is not trip.code:
             words = f"{words} Besides ({one.code}): {one.cause.rstrip('.')}. {one.next_action}"
     return words

@@ -8,8 +8,8 @@ from twostage_servo.service.answers import encode
 from twostage_servo.service.snapshot import report_service
 
 if TYPE_CHECKING:
-    from twostage_servo.service.loop import ServoService
-    from twostage_servo.service.station import Station
+    from twostage_servo.service.axis_loop import AxisLoop
+    from twostage_servo.service.servo_service import ServoService
 
 
 class StatusLines:
@@ -50,27 +50,27 @@ class StatusLines:
         before
             What the object begins with, up to a comma.
         """
-        stations = self._service.stations
-        if name is None and len(stations) > 1:
+        axis_loops = self._service.axis_loops
+        if name is None and len(axis_loops) > 1:
             yield before + self._of_service() + b',"axes":{'
             comma = b""
-            for station in stations:
-                yield comma + json.dumps(station.name).encode() + b":{" + self._of_axis(station) + b"}"
+            for axis_loop in axis_loops:
+                yield comma + json.dumps(axis_loop.name).encode() + b":{" + self._of_axis(axis_loop) + b"}"
                 comma = b","
             yield b"}}\n"
         else:
-            yield before + self._of_service() + b"," + self._of_axis(self._service.station(name)) + b"}\n"
+            yield before + self._of_service() + b"," + self._of_axis(self._service.axis_loop(name)) + b"}\n"
 
     def _of_service(self) -> bytes:
         if self._common is None:
             self._common = _inside(report_service(self._service))
         return self._common
 
-    def _of_axis(self, station: "Station") -> bytes:
-        part = self._axes.get(station.name)
+    def _of_axis(self, axis_loop: "AxisLoop") -> bytes:
+        part = self._axes.get(axis_loop.name)
         if part is None:
             self.made += 1
-            part = self._axes[station.name] = _inside(station.report())
+            part = self._axes[axis_loop.name] = _inside(axis_loop.report())
         return part
 
 

@@ -3,15 +3,15 @@
 import asyncio
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from twostage_servo.service.turns import Rank
+from twostage_servo.service.background_server import Priority
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from twostage_servo.service.background_server import BackgroundServer
     from twostage_servo.service.connection import Connection
     from twostage_servo.service.connections import Connections
     from twostage_servo.service.status_lines import StatusLines
-    from twostage_servo.service.turns import Turns
 
 _BEGIN: Final = b'{"event":"snapshot",'
 _MOST_A_TURN: Final = 16
@@ -42,10 +42,10 @@ class Watchers:
         Gives the time.
     """
 
-    def __init__(self, connections: "Connections", status: "StatusLines", turns: "Turns") -> None:
+    def __init__(self, connections: "Connections", status: "StatusLines", turns: "BackgroundServer") -> None:
         self._connections = connections
         self._status = status
-        self._turns = turns
+        self._background = turns
         self._tick = 0
         self._due = asyncio.Event()
         self._begun: dict[str | None, _Begun] = {}
@@ -74,7 +74,7 @@ class Watchers:
             await self._due.wait()
             self._due.clear()
             while due := sorted(filter(self._is_due, self._connections), key=lambda one: one.due):
-                async with self._turns.turn(Rank.WATCHING):
+                async with self._background.slot(Priority.WATCHING):
                     self._work(due)
                 await asyncio.sleep(0)
 
@@ -84,7 +84,7 @@ class Watchers:
     def _work(self, due: "list[Connection]") -> None:
         """Go on with what is due the longest, for as long as a turn should take."""
         clock = asyncio.get_running_loop().time
-        until_s = clock() + self._turns.slice_s
+        until_s = clock() + self._background.slice_s
         name, since = due[0].axis, due[0].due
         if name not in self._lines or self._lines[name][0] < since:
             self._make(name, since, until_s)

@@ -27,7 +27,7 @@ def test_a_move_over_can_frames() -> None:
         await world.until(lambda: move.outcome != "moving")
         assert move.outcome == "reached"
         assert world.drive.position == pytest.approx(400.0, abs=0.06)
-        assert world.station.port.link.counters.rejected == 0
+        assert world.axis_loop.bus.link.counters.rejected == 0
         assert world.service.statistics.missed == 0
         assert world.axis.drive.monitor.lost == 0
 
@@ -128,7 +128,7 @@ def test_after_a_reload_the_end_waits_for_what_the_axes_take_by_then(stated: boo
         service = world.service
         before = service.settings.shutdown_timeout_ms
         slow = load(None, ["axis.limits.acceleration=20"])
-        put_axes_in(service, [build_axis(slow, world.station.profile.traits, service.ticks.period_s)])
+        put_axes_in(service, [build_axis(slow, world.axis_loop.profile.traits, service.ticks.period_s)])
         assert (service.settings.shutdown_timeout_ms > 10.0 * before) is not stated
         assert service.settings.shutdown_timeout_ms == (before if stated else 2.0 * stop_ms(world.axis.design))
 
@@ -142,7 +142,7 @@ def test_a_service_that_stops_sending_is_stopped_by_the_drive() -> None:
         await world.cruising()
         world.service.ticks.stop()
         await world.seconds(0.05)
-        world.station.port.link.close()
+        world.axis_loop.bus.link.close()
         await world.seconds(1.0)
         assert not world.drive.enabled
         assert abs(world.drive.velocity) < 0.1
@@ -158,7 +158,7 @@ def test_a_lost_bus_trips_and_comes_back_disarmed(monkeypatch: pytest.MonkeyPatc
             raise LinkError("bus virtual test failed while receiving: unplugged")
 
         with monkeypatch.context() as patch:
-            patch.setattr(world.station.port.link, "drain", gone)
+            patch.setattr(world.axis_loop.bus.link, "drain", gone)
             await world.seconds(0.015)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.BUS_FAILED
@@ -181,7 +181,7 @@ def test_a_lost_bus_trips_and_comes_back_disarmed(monkeypatch: pytest.MonkeyPatc
 def test_a_bus_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         attempts = []
-        open_link = world.station.port.link.open
+        open_link = world.axis_loop.bus.link.open
 
         def not_yet() -> None:
             attempts.append(1)
@@ -189,7 +189,7 @@ def test_a_bus_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.MonkeyPat
                 raise LinkError("no such device")
             open_link()
 
-        monkeypatch.setattr(world.station.port.link, "open", not_yet)
+        monkeypatch.setattr(world.axis_loop.bus.link, "open", not_yet)
         await world.seconds(0.5)
         assert world.service.snapshot()["bus"] == {
             "channel": "can0", "open": False, "error": "no such device", "drive_state": None, "controller": "active",
@@ -209,7 +209,7 @@ def test_a_bus_that_opens_and_fails_at_once_is_not_opened_in_every_tick(monkeypa
 
     async def script(world: World) -> None:
         await world.armed()
-        link = world.station.port.link
+        link = world.axis_loop.bus.link
         opened_at: list[float] = []
         open_link, now_s = link.open, asyncio.get_running_loop().time
 
@@ -226,7 +226,7 @@ def test_a_bus_that_opens_and_fails_at_once_is_not_opened_in_every_tick(monkeypa
         assert min(later - one for one, later in itertools.pairwise(opened_at)) > 0.98
         world.wire.node("service").receive_error = None
         await world.seconds(1.1)
-        assert world.station.port.error is None
+        assert world.axis_loop.bus.error is None
         assert world.state() is State.TRIPPED
 
     simulate(script)
@@ -237,7 +237,7 @@ def test_the_bus_is_looked_after_once_a_second(monkeypatch: pytest.MonkeyPatch) 
 
     async def script(world: World) -> None:
         await world.armed()
-        link = world.station.port.link
+        link = world.axis_loop.bus.link
         looked: list[int] = []
         monkeypatch.setattr(link, "check", lambda: looked.append(1))
         await world.seconds(3.0)
@@ -278,7 +278,7 @@ def test_a_stall_is_skipped_counted_and_never_made_up_in_a_burst(stall_s: float,
 def test_frames_that_cannot_be_used_are_counted_and_bridged() -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        identifier = world.station.profile.feedback_id.identifier
+        identifier = world.axis_loop.profile.feedback_id.identifier
         rejected = {
             "length": [can.Message(arbitration_id=identifier, is_extended_id=False, data=bytes(n)) for n in (0, 7)],
             "checksum": [
@@ -308,7 +308,7 @@ def test_the_recording_holds_the_ticks_before_the_trip() -> None:
         await world.seconds(1.0)
         world.axis.raise_trip(TripCode.OVERSPEED, "test")
         await world.seconds(5.0)
-        records = world.station.recorder.records()
+        records = world.axis_loop.recorder.records()
         assert len(records) == 200
         assert records[-1].state == State.TRIPPED
         assert [record.state for record in records[:-1]] == [State.SPEED_STAGE] * 199
@@ -322,7 +322,7 @@ def test_a_second_controller_on_the_bus_trips_and_keeps_the_axis_from_arming() -
 
     async def script(world: World) -> None:
         await world.cruising()
-        profile = world.station.profile
+        profile = world.axis_loop.profile
         frame = profile.encode_command(3.0, enable=True, counter=7)
         with world.wire.attach("another controller") as other:
             other.send(can.Message(arbitration_id=profile.command_id.identifier, is_extended_id=False, data=frame))
@@ -346,7 +346,7 @@ def test_arming_over_a_closed_bus_says_that_the_bus_is_closed(monkeypatch: pytes
         def fail() -> None:
             raise LinkError("unplugged")
 
-        monkeypatch.setattr(world.station.port.link, "open", fail)
+        monkeypatch.setattr(world.axis_loop.bus.link, "open", fail)
         await world.seconds(0.1)
         with pytest.raises(Refused, match="the bus is not open: unplugged"):
             world.service.handle(ArmRequest())
@@ -384,7 +384,7 @@ def test_a_send_that_fails_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch) -> Non
             raise LinkError("bus failed while sending: network is down")
 
         with monkeypatch.context() as patch:
-            patch.setattr(world.station.port.link, "send", gone)
+            patch.setattr(world.axis_loop.bus.link, "send", gone)
             await world.seconds(0.015)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.BUS_FAILED
@@ -425,7 +425,7 @@ def test_a_bus_that_is_being_opened_is_closed_at_the_end(monkeypatch: pytest.Mon
     """The thread that opens the bus must not do so after the service has closed it."""
 
     async def script(world: World) -> None:
-        link = world.station.port.link
+        link = world.axis_loop.bus.link
         await world.seconds(0.1)
         opening = asyncio.Event()
 

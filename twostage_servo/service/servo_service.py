@@ -11,14 +11,14 @@ import structlog
 from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import BRAKING, ENABLED
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.service.axis_group import AxisGroup, GroupReaction
+from twostage_servo.service.axis_loop import AxisLoop
+from twostage_servo.service.background_server import BackgroundServer
+from twostage_servo.service.bus_connection import BusConnection
 from twostage_servo.service.desk import Desk
-from twostage_servo.service.group import Group, GroupReaction
-from twostage_servo.service.port import Port
 from twostage_servo.service.settings import ServiceSettings, with_time_to_stop
 from twostage_servo.service.snapshot import report_service
-from twostage_servo.service.station import Station
 from twostage_servo.service.statistics import TickStatistics
-from twostage_servo.service.turns import Turns
 from twostage_servo.timing.ticks import Tick, Ticks, spin
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ class ServoService:
     ----------
     settings
         The table ``[service]``.
-    ports
+    buses
         The buses with the axes on them.
     group_reaction
         What the other axes do when one trips.
@@ -46,7 +46,7 @@ class ServoService:
     ----------
     settings
         As given, with the time that the axes take to stop where no `shutdown_timeout_ms` is stated.
-    stations
+    axis_loops
         The axes, in the order of their names' appearance.
     desk
         Where clients ask for what they want.
@@ -71,16 +71,16 @@ class ServoService:
     """
 
     def __init__(
-        self, settings: ServiceSettings, ports: Sequence[Port], group_reaction: GroupReaction = "stop"
+        self, settings: ServiceSettings, buses: Sequence[BusConnection], group_reaction: GroupReaction = "stop"
     ) -> None:
         self.settings = self._stated = settings
-        self.ports = ports
-        self.stations = [station for port in ports for station in port.stations]
+        self.buses = buses
+        self.axis_loops = [axis_loop for bus in buses for axis_loop in bus.axis_loops]
         self.ticks = Ticks(settings.tick_ms / 1e3)
         self.statistics = TickStatistics()
         self.uptime_s = 0.0
         self.desk = Desk(self)
-        self.turns = Turns(self.ticks.period_s)
+        self.background = BackgroundServer(self.ticks.period_s)
         self.publishers: list[Publisher] = []
         self.after_tick: Callable[[Tick, float], None] | None = None
         self.output_offset: OutputOffset | None = None
@@ -88,17 +88,17 @@ class ServoService:
         self.failure: Exception | None = None
         self.failed_tick: int | None = None
         self.not_disabled: list[str] = []
-        self._group = Group(group_reaction)
+        self._group = AxisGroup(group_reaction)
         self._ending_ticks: int | None = None
         self._parting_frames = 0
         self._log = structlog.get_logger()
-        for station in self.stations:
-            station.reporter.snapshot = functools.partial(self.snapshot, station.name)
+        for axis_loop in self.axis_loops:
+            axis_loop.event_log.snapshot = functools.partial(self.snapshot, axis_loop.name)
         self.allow_for_stops()
 
     def allow_for_stops(self) -> None:
         """Take notice of how long the axes need to stop; for when they have other settings."""
-        self.settings = with_time_to_stop(self._stated, (station.axis.design for station in self.stations))
+        self.settings = with_time_to_stop(self._stated, (axis_loop.axis.design for axis_loop in self.axis_loops))
 
     async def run(self) -> None:
         """Run until :meth:`shut_down` has brought the axes to rest; the drives are disabled on every way out.
@@ -108,8 +108,8 @@ class ServoService:
         Exception
             A defect of this program. If the tick still works, a quick stop has brought the axes to rest before.
         """
-        for port in self.ports:
-            port.start()
+        for bus in self.buses:
+            bus.start()
         loop = asyncio.get_running_loop()
         now_s = loop.time
         tick_index = 0
@@ -140,16 +140,16 @@ class ServoService:
                         self.after_tick(tick, ended_s)
                     except Exception as error:  # noqa: BLE001 - likewise
                         self._fail(tick, error, in_control=False)
-                self.turns.open(tick.deadline_s + self.ticks.period_s - self.ticks.margin_s)
+                self.background.open(tick.deadline_s + self.ticks.period_s - self.ticks.margin_s)
         finally:
-            self.turns.end()
+            self.background.end()
             try:
                 with contextlib.ExitStack() as every_drive:  # a defect at one drive is not in the way of the others
-                    for station in self.stations:
-                        every_drive.callback(station.disable_drive, tick_index)
-                self.not_disabled = [station.name for station in self.stations if station.tell_if_not_disabled()]
+                    for axis_loop in self.axis_loops:
+                        every_drive.callback(axis_loop.disable_drive, tick_index)
+                self.not_disabled = [one.name for one in self.axis_loops if one.tell_if_not_disabled()]
             finally:
-                await asyncio.gather(*(port.close() for port in self.ports))
+                await asyncio.gather(*(bus.close() for bus in self.buses))
         if self.failure is not None:
             raise self.failure
 
@@ -161,9 +161,9 @@ class ServoService:
         """
         if self._ending_ticks is None:
             self._ending_ticks = round(self.settings.shutdown_timeout_ms / self.settings.tick_ms)
-            self._log.info("ending", states={station.name: station.axis.state for station in self.stations})
-            for station in self.stations:
-                station.axis.disarm("the service ends")
+            self._log.info("ending", states={axis_loop.name: axis_loop.axis.state for axis_loop in self.axis_loops})
+            for axis_loop in self.axis_loops:
+                axis_loop.axis.disarm("the service ends")
 
     @property
     def is_ending(self) -> bool:
@@ -175,32 +175,32 @@ class ServoService:
     def read(self, tick: Tick) -> None:
         """Drain every bus; the newest feedback of each drive goes to its axis."""
         self.uptime_s = tick.index * self.ticks.period_s
-        for station in self.stations:
-            station.begin_tick(tick)
-        for port in self.ports:
-            port.read(tick)
+        for axis_loop in self.axis_loops:
+            axis_loop.begin_tick(tick)
+        for bus in self.buses:
+            bus.read(tick)
 
     def update(self) -> None:
         """Let each axis decide on its effort, and all of them react if one has tripped; make the commands ready."""
         if self._ending_ticks is not None:
             self._end_braking(self._ending_ticks)
-        for station in self.stations:
-            station.update()
-        self._group.react(self.stations)
-        for station in self.stations:
-            station.make_ready()
+        for axis_loop in self.axis_loops:
+            axis_loop.update()
+        self._group.react(self.axis_loops)
+        for axis_loop in self.axis_loops:
+            axis_loop.make_ready()
 
     def write(self, tick: Tick) -> None:
         """Send the newest commands; one that its bus cannot take now is dropped, never kept."""
-        for station in self.stations:
-            station.write(tick)
+        for axis_loop in self.axis_loops:
+            axis_loop.write(tick)
 
     def publish(self, tick: Tick) -> None:
         """Record the tick and tell whoever listens; none of it waits."""
-        for station in self.stations:
-            station.publish(tick)
-        for port in self.ports:
-            port.publish(tick)
+        for axis_loop in self.axis_loops:
+            axis_loop.publish(tick)
+        for bus in self.buses:
+            bus.publish(tick)
         for publisher in self.publishers:
             publisher(tick)
 
@@ -223,11 +223,11 @@ class ServoService:
             If no axis has this name.
         """
         common = report_service(self) if common is None else common
-        if name is None and len(self.stations) > 1:
-            return common | {"axes": {station.name: station.report() for station in self.stations}}
-        return common | self.station(name).report()
+        if name is None and len(self.axis_loops) > 1:
+            return common | {"axes": {axis_loop.name: axis_loop.report() for axis_loop in self.axis_loops}}
+        return common | self.axis_loop(name).report()
 
-    def station(self, name: str | None = None) -> Station:
+    def axis_loop(self, name: str | None = None) -> AxisLoop:
         """Return the axis of a name; without one, the only axis.
 
         Raises
@@ -235,9 +235,9 @@ class ServoService:
         KeyError
             If there is none of this name, or no name and several axes.
         """
-        if name is None and len(self.stations) == 1:
-            return self.stations[0]
-        return next((station for station in self.stations if station.name == name), None) or _no_station(name)
+        if name is None and len(self.axis_loops) == 1:
+            return self.axis_loops[0]
+        return next((axis_loop for axis_loop in self.axis_loops if axis_loop.name == name), None) or _no_axis_loop(name)
 
     # Small parts -----------------------------------------------------------------------------------------------------
 
@@ -252,28 +252,28 @@ class ServoService:
 
     def _end_braking(self, ticks_left: int) -> None:
         self._ending_ticks = ticks_left - 1
-        for station in self.stations:
-            axis = station.axis
+        for axis_loop in self.axis_loops:
+            axis = axis_loop.axis
             axis.disarm()
             if self._ending_ticks <= 0 and axis.state in BRAKING:
-                self._tell_if_it_coasts(station)
+                self._tell_if_it_coasts(axis_loop)
                 axis.end_braking()
 
-    def _tell_if_it_coasts(self, station: Station) -> None:
-        velocity = station.axis.estimate.velocity
-        if abs(velocity) > station.axis.design.rest_velocity:
+    def _tell_if_it_coasts(self, axis_loop: AxisLoop) -> None:
+        velocity = axis_loop.axis.estimate.velocity
+        if abs(velocity) > axis_loop.axis.design.rest_velocity:
             self._log.error(
                 "the drive is disabled while the axis moves: the time to brake at the end of the service is over",
-                axis=station.name,
+                axis=axis_loop.name,
                 velocity=velocity,
                 shutdown_timeout_ms=self.settings.shutdown_timeout_ms,
             )
 
     def _end_at_rest(self) -> None:
-        if self._ending_ticks is not None and all(station.axis.state not in ENABLED for station in self.stations):
+        if self._ending_ticks is not None and all(axis_loop.axis.state not in ENABLED for axis_loop in self.axis_loops):
             self._parting_frames += 1
             # Each drive has its time to report that it is off: what was not seen is told, not taken for granted.
-            waits = any(station.axis.is_disabling for station in self.stations)
+            waits = any(axis_loop.axis.is_disabling for axis_loop in self.axis_loops)
             if self._parting_frames >= _PARTING_FRAMES and not waits:
                 self.ticks.stop()
 
@@ -291,10 +291,10 @@ class ServoService:
             return
         self.failure = error
         self._log.critical("the loop failed, the axes are being stopped", exc_info=error)
-        for station in self.stations:
-            station.axis.raise_trip(TripCode.INTERNAL_ERROR, f"{type(error).__name__} in the loop: {error}")
+        for axis_loop in self.axis_loops:
+            axis_loop.axis.raise_trip(TripCode.INTERNAL_ERROR, f"{type(error).__name__} in the loop: {error}")
         self.shut_down()
 
 
-def _no_station(name: str | None) -> Station:
+def _no_axis_loop(name: str | None) -> AxisLoop:
     raise KeyError(name)

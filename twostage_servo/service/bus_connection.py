@@ -12,7 +12,7 @@ from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
-    from twostage_servo.service.station import Station
+    from twostage_servo.service.axis_loop import AxisLoop
 
 _MOST_MISSED_MADE_UP_FOR: Final = 10
 """Missed ticks whose frames are read in the tick after them. Their reading takes a tenth of the time that was missed on
@@ -23,14 +23,14 @@ _LONGEST_CLOSING_S: Final = 1.0
 FrameObserver = Callable[[int, str, int, bytes], None]
 
 
-class Port:
+class BusConnection:
     """One bus with the axes on it.
 
     Parameters
     ----------
     link
         The bus, not yet open.
-    stations
+    axis_loops
         The axes on it.
     period_s
         Length of a tick in s.
@@ -39,7 +39,7 @@ class Port:
     ----------
     link
         As given.
-    stations
+    axis_loops
         As given.
     error
         Why the bus is not open; None while it is.
@@ -47,15 +47,15 @@ class Port:
         Called with tick index, ``sent`` or ``received``, identifier and data of each frame.
     """
 
-    def __init__(self, link: Link, stations: "list[Station]", period_s: float) -> None:
+    def __init__(self, link: Link, axis_loops: "list[AxisLoop]", period_s: float) -> None:
         self.link = link
-        self.stations = stations
+        self.axis_loops = axis_loops
         self.error: str | None = "not opened yet"
         self.observers: list[FrameObserver] = []
         self._takers = {
-            identifier.identifier: station
-            for station in stations
-            for identifier in (*station.profile.controller_identifiers, station.profile.command_id)
+            identifier.identifier: axis_loop
+            for axis_loop in axis_loops
+            for identifier in (*axis_loop.profile.controller_identifiers, axis_loop.profile.command_id)
         }
         self._opening: asyncio.Task[None] | None = None
         self._rejected = 0
@@ -68,8 +68,8 @@ class Port:
         self._next_report = 0
         self._controller = "active"
         self._log = structlog.get_logger().bind(bus=link.settings.channel)
-        for station in stations:
-            station.port = self
+        for axis_loop in axis_loops:
+            axis_loop.bus = self
 
     def start(self) -> None:
         """Begin to open the bus."""
@@ -99,8 +99,8 @@ class Port:
             return
         self._reads_behind = self._reads_behind + 1 if self.link.is_behind else 0
         if self._reads_behind:
-            for station in self.stations:
-                station.axis.drive.notice_backlog(self._reads_behind, most)
+            for axis_loop in self.axis_loops:
+                axis_loop.axis.drive.notice_backlog(self._reads_behind, most)
         for message in messages:
             for observe in self.observers:
                 observe(tick.index, "received", message.arbitration_id, bytes(message.data))
@@ -165,8 +165,8 @@ class Port:
     def _lose(self, error: LinkError) -> None:
         self.error = str(error)
         self._log.error("the bus failed", error=self.error)
-        for station in self.stations:
-            station.lose_bus(self.error)
+        for axis_loop in self.axis_loops:
+            axis_loop.lose_bus(self.error)
         self._lacked_carrier = False
         self.link.let_go()
         self.start()

@@ -9,7 +9,7 @@ import structlog
 from tests.service.rig import BUS, World, simulate
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link, LinkError
-from twostage_servo.service.port import Port
+from twostage_servo.service.bus_connection import BusConnection
 from twostage_servo.timing.ticks import Tick
 from twostage_servo.timing.virtual_clock import run
 
@@ -21,10 +21,10 @@ def test_the_bus_is_looked_after_once_a_second_though_every_other_tick_is_missed
     looked = []
     link = Link(BUS, [])
     monkeypatch.setattr(link, "check", lambda: looked.append(True))
-    port = Port(link, [], 0.01)
-    port.error = None
+    bus = BusConnection(link, [], 0.01)
+    bus.error = None
     for index in range(first, 1000, 2):
-        port.publish(Tick(index, 0.01 * index, 0.0, 1))
+        bus.publish(Tick(index, 0.01 * index, 0.0, 1))
     assert len(looked) == 10
 
 
@@ -41,13 +41,13 @@ def test_an_interface_without_carrier_is_looked_at_again_before_it_counts_as_bus
             raise LinkError("no frame can be sent") from OSError(code, "")
 
     link = Link(BUS, [])
-    port = Port(link, [], 0.01)
+    bus = BusConnection(link, [], 0.01)
     monkeypatch.setattr(link, "check", check)
-    monkeypatch.setattr(port, "_lose", lost.append)
-    port.error = None
-    port.publish(Tick(100, 1.0, 0.0, 0))
+    monkeypatch.setattr(bus, "_lose", lost.append)
+    bus.error = None
+    bus.publish(Tick(100, 1.0, 0.0, 0))
     assert lost == []
-    port.publish(Tick(101, 1.01, 0.0, 0))
+    bus.publish(Tick(101, 1.01, 0.0, 0))
     assert [getattr(error.__cause__, "errno", None) for error in lost] == ([] if then is None else [then])
 
 
@@ -62,7 +62,7 @@ def test_a_bus_that_does_not_close_is_waited_for_a_second_and_told(
             loop.call_later(0.5, closing.set_result, None)
         link = Link(BUS, [])
         monkeypatch.setattr(link, "let_go", lambda: closing)
-        await Port(link, [], 0.01).close()
+        await BusConnection(link, [], 0.01).close()
         return loop.time()
 
     with structlog.testing.capture_logs() as logs:
@@ -79,7 +79,7 @@ def test_attempts_to_open_the_bus_are_the_reopen_interval_apart_also_those_that_
     async def script() -> None:
         loop = asyncio.get_running_loop()
         link = Link(BUS, [])
-        port = Port(link, [], 0.01)
+        bus = BusConnection(link, [], 0.01)
 
         async def open_in_thread() -> None:
             attempts_s.append(loop.time())
@@ -88,12 +88,12 @@ def test_attempts_to_open_the_bus_are_the_reopen_interval_apart_also_those_that_
 
         monkeypatch.setattr(link, "open_in_thread", open_in_thread)
         monkeypatch.setattr(link, "let_go", lambda: None)
-        port.start()
+        bus.start()
         await asyncio.sleep(10.0)
-        assert port.error is None
-        port._lose(LinkError("network is down"))
+        assert bus.error is None
+        bus._lose(LinkError("network is down"))
         await asyncio.sleep(10.0)
-        await port.close()
+        await bus.close()
 
     run(script())
     interval_s = BUS.reopen_interval_ms / 1e3
@@ -105,18 +105,18 @@ def test_attempts_to_open_the_bus_are_the_reopen_interval_apart_also_those_that_
 def test_after_missed_ticks_as_much_more_is_read_up_to_ten(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     link = Link(BUS, [])
-    port = Port(link, [], 0.01)
+    bus = BusConnection(link, [], 0.01)
 
     def drain(most: int) -> list[object]:
         asked.append(most)
         return []
 
     monkeypatch.setattr(link, "drain", drain)
-    port.read(Tick(0, 0.0, 0.0, 0))
+    bus.read(Tick(0, 0.0, 0.0, 0))
     assert asked == []  # it is not open
-    port.error = None
+    bus.error = None
     for missed in (0, 1, 10, 11, 1000):
-        port.read(Tick(0, 0.0, 0.0, missed))
+        bus.read(Tick(0, 0.0, 0.0, missed))
     usual = BUS.frames_read(0.01)
     assert asked == [usual, 2 * usual, 11 * usual, 11 * usual, 11 * usual]
 
@@ -129,12 +129,12 @@ def test_an_axis_whose_bus_fails_is_told_why(where: str) -> None:
     async def script(world: World) -> None:
         await world.armed()
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(world.station.port.link, where, broken)
+            patch.setattr(world.axis_loop.bus.link, where, broken)
             await world.seconds(0.02)
         trip = world.axis.trip
         assert trip is not None
         assert (trip.code, trip.cause) == (TripCode.BUS_FAILED, "the cable is out")
-        assert world.station.receiver.drive_state is None
+        assert world.axis_loop.receiver.drive_state is None
 
     with structlog.testing.capture_logs() as logs:
         simulate(script)

@@ -1,4 +1,4 @@
-"""What the log is told of an axis after each tick, line by line; of a station that is written by hand."""
+"""What the log is told of an axis after each tick, line by line; of a axis_loop that is written by hand."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +9,7 @@ import structlog
 from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import Trip, TripCode
-from twostage_servo.service.reporter import Reporter
+from twostage_servo.service.event_log import EventLog
 from twostage_servo.telemetry.recorder import Record
 from twostage_servo.telemetry.trip_files import TripFile
 from twostage_servo.timing.ticks import Tick
@@ -44,16 +44,16 @@ class Told:
             drive=SimpleNamespace(is_stale=True), design=SimpleNamespace(period_s=0.01),
         )  # fmt: skip
         recorder = SimpleNamespace(keep=self.keep, records=lambda: ["records"])
-        station: Any = SimpleNamespace(name="x", axis=self.axis, recorder=recorder, report=lambda: {"a": "snapshot"})
-        self.station = station
-        self.reporter = Reporter(station)
+        axis_loop: Any = SimpleNamespace(name="x", axis=self.axis, recorder=recorder, report=lambda: {"a": "snapshot"})
+        self.axis_loop = axis_loop
+        self.event_log = EventLog(axis_loop)
 
     def keep(self) -> None:
         self.kept += 1
 
     def tick(self, index: int) -> list[dict[str, Any]]:
         with structlog.testing.capture_logs() as logs:
-            self.reporter.report(Tick(index, 0.0, 0.0, 0))
+            self.event_log.report(Tick(index, 0.0, 0.0, 0))
         return [dict(line) for line in logs]
 
     def trips(self, *codes: TripCode) -> list[Trip]:
@@ -124,7 +124,7 @@ def test_later_trips_are_told_with_their_own_tick_and_anew_after_a_reset() -> No
         told.trips(TripCode.JAM)
         assert [one["event"] for one in told.tick(20)] == ["trip"]
         _, overspeed, fault = told.trips(TripCode.JAM, TripCode.OVERSPEED, TripCode.DRIVE_FAULT)
-        told.axis.trip = told.reporter._trip  # the same first one
+        told.axis.trip = told.event_log._trip  # the same first one
         told.axis.escalation = fault
         assert told.tick(21) == [
             line("trip, as well", "error", 11, code=TripCode.OVERSPEED, cause=overspeed.cause),
@@ -148,27 +148,27 @@ def test_a_trip_with_others_in_its_tick_is_told_with_all_of_them() -> None:
 
 def test_a_recording_is_written_with_what_the_axis_was_and_the_names_of_its_columns() -> None:
     told, files = Told(), Files()
-    told.reporter.trip_files = files  # type: ignore[assignment]
-    before = told.reporter.trip_file
+    told.event_log.trip_files = files  # type: ignore[assignment]
+    before = told.event_log.trip_file
     told.trips(TripCode.JAM)
     told.tick(1)
     assert files.written == [("x-jam", {"snapshot": {"a": "snapshot"}, "fields": Record._fields}, ["records"])]
-    assert told.reporter.trip_file is not before
+    assert told.event_log.trip_file is not before
     assert files.failed == []
 
 
 def test_for_want_of_memory_the_file_of_this_trip_has_failed() -> None:
     told, files = Told(), Files()
-    told.reporter.trip_files = files  # type: ignore[assignment]
+    told.event_log.trip_files = files  # type: ignore[assignment]
     error = MemoryError()
 
     def keep() -> None:
         raise error
 
-    told.station.recorder.keep = keep
+    told.axis_loop.recorder.keep = keep
     told.trips(TripCode.JAM)
     assert next(one["event"] for one in told.tick(1)) == "trip"
-    assert files.failed == [(error, told.reporter.trip_file)]
+    assert files.failed == [(error, told.event_log.trip_file)]
     assert files.written == []
 
 
@@ -178,7 +178,7 @@ def test_for_want_of_memory_without_files_the_log_says_so() -> None:
     def keep() -> None:
         raise MemoryError
 
-    told.station.recorder.keep = keep
+    told.axis_loop.recorder.keep = keep
     told.trips(TripCode.JAM)
     text = "no recording of the trip: no memory is left"
     assert {"event": text, "log_level": "error", "axis": "x"} in told.tick(1)

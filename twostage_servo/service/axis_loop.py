@@ -11,21 +11,21 @@ from twostage_servo.axis.messages import NO_EFFORT, Command
 from twostage_servo.axis.state import ENABLED
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.drives.dbc.profile import DriveProfile
+from twostage_servo.service.event_log import EventLog
 from twostage_servo.service.receiver import Receiver
-from twostage_servo.service.reporter import Reporter
 from twostage_servo.service.snapshot import report_axis
 from twostage_servo.telemetry.recorder import Record, Recorder
 from twostage_servo.timing.histogram import TimeHistogram
 from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
-    from twostage_servo.service.port import Port
+    from twostage_servo.service.bus_connection import BusConnection
 
 _DROPPED_IN_A_ROW = 2
 """Commands in a row that the bus did not take, at which the axis trips: one is an accident."""
 
 
-class Station:
+class AxisLoop:
     """One axis of the service.
 
     Parameters
@@ -45,7 +45,7 @@ class Station:
     ----------
     axis, profile
         As given; a configuration that is read again gives another axis.
-    port
+    bus
         The bus it is on.
     receiver
         Takes the drive's frames to the axis.
@@ -59,7 +59,7 @@ class Station:
         How long it took from a feedback's arrival until the command that used it left, where the bus dates its frames.
     """
 
-    port: "Port"
+    bus: "BusConnection"
 
     def __init__(
         self, axis: Axis, profile: DriveProfile, period_s: float, recording_s: float, *, dated: bool = False
@@ -68,7 +68,7 @@ class Station:
         self.profile = profile
         self.receiver = Receiver(profile, period_s, dated=dated)
         self.recorder = Recorder(max(1, round(recording_s / period_s)))
-        self.reporter = Reporter(self)
+        self.event_log = EventLog(self)
         self.command: Command = NO_EFFORT
         self.feedback_to_command = TimeHistogram()
         self._command_counter = 0
@@ -88,7 +88,7 @@ class Station:
 
     def take(self, message: can.Message) -> None:
         """Take a frame of the drive, or one that only the drive should have received."""
-        self.receiver.take(message, self.axis, self.port.link)
+        self.receiver.take(message, self.axis, self.bus.link)
 
     def update(self) -> None:
         """Let the axis decide on its effort."""
@@ -102,7 +102,7 @@ class Station:
 
     def write(self, tick: Tick) -> None:
         """Send the newest command; one that the bus cannot take now is dropped, never kept."""
-        sent = self.port.send(tick.index, self._frame)
+        sent = self.bus.send(tick.index, self._frame)
         if sent is None:
             return
         self._sent_s = asyncio.get_running_loop().time() if sent else None
@@ -125,7 +125,7 @@ class Station:
                 axis.speed_reference, axis.following_error,
             )
         )  # fmt: skip
-        self.reporter.report(tick)
+        self.event_log.report(tick)
 
     def lose_bus(self, error: str) -> None:
         """Trip, and know nothing of the drive any more."""
@@ -135,9 +135,9 @@ class Station:
 
     def disable_drive(self, tick_index: int) -> None:
         """Tell the drive to disable, as the last thing before the service ends."""
-        if self.port.send(tick_index, self._prepared(NO_EFFORT)) is not True:
+        if self.bus.send(tick_index, self._prepared(NO_EFFORT)) is not True:
             text = "the drive could not be told to disable; its own time-out has to stop it"
-            structlog.get_logger().error(text, axis=self.name, error=self.port.error or "the bus takes no frame")
+            structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus takes no frame")
 
     def tell_if_not_disabled(self) -> bool:
         """Return whether the drive was never seen to be disabled before the service ends, which the log is told."""
@@ -156,4 +156,4 @@ class Station:
     def _prepared(self, command: Command) -> can.Message:
         self._command_counter += 1
         data = self.profile.encode_command(command.effort, command.enable, self._command_counter)
-        return self.port.link.prepare(self.profile.command_id, data)
+        return self.bus.link.prepare(self.profile.command_id, data)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 import structlog
 
 from twostage_servo.axis.state import BRAKING, COMMANDED, ENABLED, LATCHED, State
-from twostage_servo.service.station import Station
+from twostage_servo.service.axis_loop import AxisLoop
 
 if TYPE_CHECKING:
     from twostage_servo.axis.trips import Trip
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 GroupReaction = Literal["continue", "stop", "quick_stop", "disarm"]
 
 
-class Group:
+class AxisGroup:
     """Looks at all axes after each has decided on its effort.
 
     Parameters
@@ -30,20 +30,20 @@ class Group:
         self._known: dict[str, tuple[Trip | None, Trip | None]] = {}
         self._log = structlog.get_logger().bind(room="group")
 
-    def react(self, stations: Sequence[Station]) -> None:
+    def react(self, axis_loops: Sequence[AxisLoop]) -> None:
         """Let the others react to the trips of this tick."""
-        for station in stations:
-            trip, later = station.axis.trip, station.axis.escalation
-            known, known_later = self._known.get(station.name, (None, None))
+        for axis_loop in axis_loops:
+            trip, later = axis_loop.axis.trip, axis_loop.axis.escalation
+            known, known_later = self._known.get(axis_loop.name, (None, None))
             if trip is known and later is known_later:
                 continue
-            self._known[station.name] = trip, later
+            self._known[axis_loop.name] = trip, later
             if trip is not None and self._reaction != "continue":
-                self._stop_others(station, stations)
+                self._stop_others(axis_loop, axis_loops)
 
-    def _stop_others(self, tripped: Station, stations: Sequence[Station]) -> None:
+    def _stop_others(self, tripped: AxisLoop, axis_loops: Sequence[AxisLoop]) -> None:
         quick = self._reaction == "quick_stop"
-        for other in stations:
+        for other in axis_loops:
             axis = other.axis
             if other is tripped or axis.state in LATCHED or axis.state not in ENABLED:
                 continue

@@ -14,16 +14,16 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from twostage_servo.axis.trips import Trip
-    from twostage_servo.service.station import Station
+    from twostage_servo.service.axis_loop import AxisLoop
     from twostage_servo.telemetry.trip_files import Document, TripFiles
 
 
-class Reporter:
+class EventLog:
     """Looks at an axis after each tick.
 
     Parameters
     ----------
-    station
+    axis_loop
         The axis with what belongs to it.
 
     Attributes
@@ -36,24 +36,24 @@ class Reporter:
         Makes what a trip's file says beside the recording.
     """
 
-    def __init__(self, station: "Station") -> None:
+    def __init__(self, axis_loop: "AxisLoop") -> None:
         self.trip_files: TripFiles | None = None
         self.trip_file = TripFile()
-        self.snapshot: Callable[[], dict[str, Any]] = station.report
-        self._station = station
-        self._log = structlog.get_logger().bind(axis=station.name)
-        self._state = station.axis.state
+        self.snapshot: Callable[[], dict[str, Any]] = axis_loop.report
+        self._axis_loop = axis_loop
+        self._log = structlog.get_logger().bind(axis=axis_loop.name)
+        self._state = axis_loop.axis.state
         self._trip: Trip | None = None
         self._told = 1  # trips since the last reset, the first one apart
         self._source: ReferenceSource | None = None
         self._lost_because: str | None = None
         self._stale = True
-        self._disabled = DisabledReport(station.name, station.axis.design.period_s)
+        self._disabled = DisabledReport(axis_loop.name, axis_loop.axis.design.period_s)
 
     def report(self, tick: Tick) -> None:
         """Report what has changed since the last tick."""
         self._report_trip(tick)
-        axis = self._station.axis
+        axis = self._axis_loop.axis
         if axis.state is not self._state:
             self._log.info("state", tick=tick.index, before=self._state, now=axis.state)
             self._state = axis.state
@@ -64,7 +64,7 @@ class Reporter:
         self._disabled.report(tick.index, axis)
 
     def _report_reference(self, tick: Tick) -> None:
-        reference = self._station.axis.reference
+        reference = self._axis_loop.axis.reference
         if (reference.source, reference.lost_because) == (self._source, self._lost_because):
             return
         begins = self._lost_because is None
@@ -84,7 +84,7 @@ class Reporter:
             self._log.warning(text, tick=tick.index, reason=reference.lost_because)
 
     def _report_trip(self, tick: Tick) -> None:
-        axis = self._station.axis
+        axis = self._axis_loop.axis
         trip = axis.trip
         if trip is not None and trip is not self._trip:
             self._log.error("trip", tick=tick.index, code=trip.code, cause=trip.cause, next_action=trip.next_action)
@@ -100,12 +100,12 @@ class Reporter:
 
     def _keep_recording(self, trip: "Trip") -> None:
         """Keep the last ticks, in memory and on disk; for want of memory without them, since the axis has to go on."""
-        station = self._station
+        axis_loop = self._axis_loop
         self.trip_file = TripFile()
         try:
-            station.recorder.keep()
+            axis_loop.recorder.keep()
             if self.trip_files is not None:
-                name, records = f"{station.name}-{trip.code}", station.recorder.records()
+                name, records = f"{axis_loop.name}-{trip.code}", axis_loop.recorder.records()
                 self.trip_file = self.trip_files.write(name, self._document(), records)
         except MemoryError as error:
             if self.trip_files is not None:

@@ -12,8 +12,8 @@ from tests.service.operators import Operator, connect, serve
 from tests.service.rig import World
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import State
+from twostage_servo.service.authority import Authority
 from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.lease import Lease
 
 COMMANDS: list[dict[str, Any]] = [
     {"op": "arm"}, {"op": "reset"}, {"op": "move", "position": 0.0}, {"op": "jog", "velocity": 5.0}, {"op": "home"},
@@ -165,7 +165,7 @@ def test_a_reload_that_cannot_be_prepared_takes_no_lease(path: Path) -> None:
 
 
 def test_the_lease_by_itself() -> None:
-    lease = Lease()
+    lease = Authority()
     assert not lease.release("a")
     lease.demand("a")
     lease.demand("a")

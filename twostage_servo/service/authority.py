@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from twostage_servo.axis.refusals import RefusalCode, Refused
 
 
-class Lease:
+class Authority:
     """Who commands the axis.
 
     A client that commands takes the lease by it, if nobody holds it, and keeps it until it gives it back or its

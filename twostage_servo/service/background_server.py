@@ -21,7 +21,7 @@ _FORGETTING: Final = 0.995
 """By this factor the longest turn is forgotten with each one that is shorter."""
 
 
-class Rank(enum.Enum):
+class Priority(enum.Enum):
     """What a turn is for, in the order in which they go."""
 
     URGENT = 0
@@ -31,16 +31,16 @@ class Rank(enum.Enum):
     WATCHING = 4
 
 
-def rank_of(request: Request) -> Rank:
+def priority_of(request: Request) -> Priority:
     """Return how urgent a request is, by what it asks for."""
-    return Rank.URGENT if isinstance(request, StopRequest | DisarmRequest) else Rank.REQUEST
+    return Priority.URGENT if isinstance(request, StopRequest | DisarmRequest) else Priority.REQUEST
 
 
 _SHARE_OF_READING: Final = 0.1
 """Share of a period after which reading gives way to what has been read, if that waits."""
 
 
-class Turns:
+class BackgroundServer:
     """Hands out turns, one at a time, while there is time for them: by rank, and first come, first served within one.
 
     Between a tick and the next one requests may take 0.3 of a period in all, and letting clients in as much; no turn
@@ -72,8 +72,8 @@ class Turns:
         self._given_s: float | None = None  # since when somebody has a turn that he has not begun
         self._called = False  # somebody has been given a turn and is not done with it
         self._ended = False
-        self._queues: dict[Rank, deque[asyncio.Future[None]]] = {rank: deque() for rank in Rank}
-        self._owed: set[Rank] = set()  # those of which one is served before the next tick, in time or not
+        self._queues: dict[Priority, deque[asyncio.Future[None]]] = {rank: deque() for rank in Priority}
+        self._owed: set[Priority] = set()  # those of which one is served before the next tick, in time or not
 
     def open(self, until_s: float) -> None:
         """Begin to hand out turns after a tick; the loop has to be free from `until_s` on, on its clock in s."""
@@ -81,7 +81,7 @@ class Turns:
         self._left_s = _SHARE * self._period_s
         self._left_of_reading_s = _SHARE_OF_READING * self._period_s
         self._left_of_connections_s = _SHARE_OF_CONNECTIONS * self._period_s
-        self._owed = set(Rank)
+        self._owed = set(Priority)
         if self._given_s is not None:  # the tick itself is nobody's turn
             self._given_s = asyncio.get_running_loop().time()
         self._call_next()
@@ -94,7 +94,7 @@ class Turns:
                 pass
 
     @contextlib.asynccontextmanager
-    async def turn(self, rank: Rank) -> AsyncIterator[None]:
+    async def slot(self, rank: Priority) -> AsyncIterator[None]:
         """Wait for a turn; the block is the turn, and must not wait for anybody."""
         queue = self._queues[rank]
         if not self._ended and (queue or self._called or not self._has_time(rank)):
@@ -107,11 +107,11 @@ class Turns:
             yield
         finally:
             taken_s = clock() - begun_s
-            if rank is Rank.CONNECTION:
+            if rank is Priority.CONNECTION:
                 self._left_of_connections_s -= taken_s
             else:
                 self._left_s -= taken_s
-            if rank is Rank.READING:
+            if rank is Priority.READING:
                 self._left_of_reading_s -= taken_s
             self._longest_s = min(max(taken_s, _FORGETTING * self._longest_s), self._largest_s)
             self._owed.discard(rank)
@@ -132,14 +132,14 @@ class Turns:
                     queue.remove(mine)
             raise
 
-    def _has_time(self, rank: Rank) -> bool:
+    def _has_time(self, rank: Priority) -> bool:
         if asyncio.get_running_loop().time() >= self._until_s:
             return False
-        if rank is Rank.URGENT:
+        if rank is Priority.URGENT:
             return True
-        if rank is Rank.CONNECTION:
+        if rank is Priority.CONNECTION:
             return self._left_of_connections_s > 0.0
-        if rank is Rank.READING and self._left_of_reading_s <= 0.0 and self._queues[Rank.REQUEST]:
+        if rank is Priority.READING and self._left_of_reading_s <= 0.0 and self._queues[Priority.REQUEST]:
             return False
         return self._left_s > 0.0
 

@@ -5,7 +5,7 @@ import contextlib
 from collections.abc import Awaitable, Callable
 
 from tests.host_loop import HostLoop
-from twostage_servo.service.turns import Rank, Turns
+from twostage_servo.service.background_server import BackgroundServer, Priority
 
 PERIOD_S = 0.01
 
@@ -14,19 +14,19 @@ class Desk:
     """Serves whoever asks, in turns, and notes who was served and when."""
 
     def __init__(self) -> None:
-        self.turns = Turns(PERIOD_S)
+        self.background = BackgroundServer(PERIOD_S)
         self.served: list[tuple[str, float]] = []
         self.clients: set[asyncio.Task[None]] = set()
         self.loop = asyncio.get_running_loop()
 
-    def ask(self, name: str, work_s: float, rank: Rank = Rank.REQUEST) -> "asyncio.Task[None]":
+    def ask(self, name: str, work_s: float, rank: Priority = Priority.REQUEST) -> "asyncio.Task[None]":
         task = asyncio.create_task(self._serve(name, work_s, rank))
         self.clients.add(task)
         return task
 
     async def tick(self, next_s: float) -> None:
         """End a tick: the loop has to be free at a time; then let everybody do what can be done by then."""
-        self.turns.open(next_s)
+        self.background.open(next_s)
         for _ in range(200):
             await asyncio.sleep(0)
 
@@ -34,8 +34,8 @@ class Desk:
     def names(self) -> str:
         return "".join(name for name, _ in self.served)
 
-    async def _serve(self, name: str, work_s: float, rank: Rank) -> None:
-        async with self.turns.turn(rank):
+    async def _serve(self, name: str, work_s: float, rank: Priority) -> None:
+        async with self.background.slot(rank):
             self.served.append((name, self.loop.time()))
             assert isinstance(self.loop, HostLoop)
             self.loop.work(work_s)
@@ -87,7 +87,7 @@ def test_no_turn_begins_that_could_last_into_the_wait_for_the_next_tick() -> Non
         for name in "bcd":
             desk.ask(name, 0.2e-3)
         await asyncio.sleep(0)
-        desk.turns.open(free_until_s)
+        desk.background.open(free_until_s)
         for _ in range(50):
             await asyncio.sleep(0)
         desk.loop._now_s = free_until_s - 1.0e-3  # type: ignore[attr-defined]
@@ -117,11 +117,11 @@ def test_the_urgent_go_first_and_may_use_all_of_the_time() -> None:
         for name in "abcdef":
             desk.ask(name, 1e-3)
         for name in "XYZ":
-            desk.ask(name, 2e-3, Rank.URGENT)
+            desk.ask(name, 2e-3, Priority.URGENT)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() + PERIOD_S)
         assert desk.names == "XYZa"
-        desk.ask("U", 1e-3, Rank.URGENT)
+        desk.ask("U", 1e-3, Priority.URGENT)
         await asyncio.sleep(0)
         assert desk.names == "XYZaU"
 
@@ -133,7 +133,7 @@ def test_a_flood_of_the_urgent_holds_up_no_tick_and_shuts_nobody_out() -> None:
         for name in "ab":
             desk.ask(name, 0.5e-3)
         for name in "TUVWXYZ":
-            desk.ask(name, 1.8e-3, Rank.URGENT)
+            desk.ask(name, 1.8e-3, Priority.URGENT)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() - 1.0)
         assert desk.names == "Ta"
@@ -148,7 +148,7 @@ def test_a_flood_of_the_urgent_holds_up_no_tick_and_shuts_nobody_out() -> None:
 def test_neither_requests_nor_connections_shut_the_others_out() -> None:
     async def script(desk: Desk) -> None:
         for name in "CD":
-            desk.ask(name, 0.5e-3, Rank.CONNECTION)
+            desk.ask(name, 0.5e-3, Priority.CONNECTION)
         for name in "abcdefg":
             desk.ask(name, 1e-3)
         await asyncio.sleep(0)
@@ -157,7 +157,7 @@ def test_neither_requests_nor_connections_shut_the_others_out() -> None:
         await desk.tick(desk.loop.time() - 1.0)
         assert desk.names == "CDabcd"  # one of each rank comes in any case
         for name in "EFGHIJKL":
-            desk.ask(name, 1e-3, Rank.CONNECTION)
+            desk.ask(name, 1e-3, Priority.CONNECTION)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() + PERIOD_S)
         assert desk.names == "CDabcdEFGefg"
@@ -168,10 +168,10 @@ def test_neither_requests_nor_connections_shut_the_others_out() -> None:
 def test_who_reads_and_who_is_let_in_leave_each_other_and_the_requests_their_part() -> None:
     async def script(desk: Desk) -> None:
         for _ in range(8):
-            desk.ask("C", 0.5e-3, Rank.CONNECTION)
-            desk.ask("R", 0.5e-3, Rank.READING)
+            desk.ask("C", 0.5e-3, Priority.CONNECTION)
+            desk.ask("R", 0.5e-3, Priority.READING)
             desk.ask("a", 0.5e-3)
-            desk.ask("w", 0.5e-3, Rank.WATCHING)
+            desk.ask("w", 0.5e-3, Priority.WATCHING)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() + PERIOD_S)
         assert desk.names == "CCCCCCRRaaaaw"
@@ -187,7 +187,7 @@ def test_what_the_loop_does_between_two_turns_counts_as_well() -> None:
             desk.ask("a", 1e-6)
         await asyncio.sleep(0)
         assert isinstance(desk.loop, HostLoop)
-        desk.turns.open(desk.loop.time() + PERIOD_S)
+        desk.background.open(desk.loop.time() + PERIOD_S)
         for _ in range(200):
             desk.loop.work(1e-4)  # a pass
             await asyncio.sleep(0)
@@ -203,7 +203,7 @@ def test_one_who_leaves_the_queue_leaves_no_place_in_it() -> None:
         for task in waiting:
             task.cancel()
         await asyncio.gather(*waiting, return_exceptions=True)
-        assert not any(desk.turns._queues.values())
+        assert not any(desk.background._queues.values())
 
     on_host(script)
 
@@ -211,7 +211,7 @@ def test_one_who_leaves_the_queue_leaves_no_place_in_it() -> None:
 def test_connections_take_no_more_than_their_share() -> None:
     async def script(desk: Desk) -> None:
         for name in "ABCDEFGH":
-            desk.ask(name, 1e-3, Rank.CONNECTION)
+            desk.ask(name, 1e-3, Priority.CONNECTION)
         await asyncio.sleep(0)
         await desk.tick(desk.loop.time() + PERIOD_S)
 
@@ -223,7 +223,7 @@ def test_a_turn_that_is_given_to_one_who_has_gone_is_passed_on() -> None:
         leaving = desk.ask("a", 1e-4)
         desk.ask("b", 1e-4)
         await asyncio.sleep(0)
-        desk.turns.open(desk.loop.time() + PERIOD_S)
+        desk.background.open(desk.loop.time() + PERIOD_S)
         leaving.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await leaving
@@ -252,7 +252,7 @@ def test_when_there_are_no_more_ticks_everybody_is_served() -> None:
         for name in "abcdefgh":
             desk.ask(name, 1e-3)
         await asyncio.sleep(0)
-        desk.turns.end()
+        desk.background.end()
         for _ in range(50):
             await asyncio.sleep(0)
         desk.ask("i", 1e-3)
