@@ -6,7 +6,8 @@ from typing import Literal
 import pytest
 from pydantic import Field, model_validator
 
-from twostage_servo.config.loader import ConfigError, Problem, load_as
+from twostage_servo.config.errors import ConfigError, Problem
+from twostage_servo.config.loader import load_as
 from twostage_servo.settings.base import Settings, quantity
 
 

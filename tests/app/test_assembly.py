@@ -20,10 +20,11 @@ from twostage_servo.app.assembly import (
     traits_of,
 )
 from twostage_servo.app.axes_preparation import Job, prepare
-from twostage_servo.app.configuration_files import shipped_configuration
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.canbus.link import BusSettings
-from twostage_servo.config.loader import ConfigError, load
+from twostage_servo.config.errors import ConfigError
+from twostage_servo.config.files import shipped_configuration
+from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine, load_machine
 from twostage_servo.service.settings import ServiceSettings, longest_end_s
 

@@ -9,8 +9,10 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tests.machine_settings import VALID, Machine, only_problem, refused, write
-from twostage_servo.config.loader import Config, ConfigError, Problem, describe, load, load_as
+from twostage_servo.config.errors import ConfigError, Problem
+from twostage_servo.config.loader import Config, load, load_as
 from twostage_servo.settings.base import Settings
+from twostage_servo.settings.reference import describe
 
 VELOCITY_NEEDED = "a number is needed, in axis unit/s, greater than 0, at most 10000 (Largest cruise velocity)"
 

@@ -3,7 +3,8 @@
 import pytest
 
 from twostage_servo.app.assembly import build_service
-from twostage_servo.config.loader import ConfigError, load
+from twostage_servo.config.errors import ConfigError
+from twostage_servo.config.loader import load
 
 RANGE = "protocol.feedback.position_scale=1.52587890625e-5"
 """The shipped drive's 32 bits, with the range of 16 bits of micrometres: half of it is 102 ms at 320 mm/s."""

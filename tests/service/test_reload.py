@@ -9,10 +9,11 @@ import pytest
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
 from twostage_servo.app.assembly import reload_machine
-from twostage_servo.app.configuration_files import shipped_configuration
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
-from twostage_servo.config.loader import ConfigError, load
+from twostage_servo.config.errors import ConfigError
+from twostage_servo.config.files import shipped_configuration
+from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine
 from twostage_servo.drives.dbc.compiler import dbc_digest
 from twostage_servo.drives.dbc.profile import DriveProfile

@@ -13,14 +13,14 @@ import structlog
 
 from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.assembly import build_service, reload_machine
-from twostage_servo.app.configuration_files import shipped_configuration
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link
-from twostage_servo.config.loader import ConfigError
+from twostage_servo.config.errors import ConfigError
+from twostage_servo.config.files import shipped_configuration
 from twostage_servo.config.machine import load_machine
 from twostage_servo.service.servo_service import ServoService
 from twostage_servo.simulation.bus import Wire

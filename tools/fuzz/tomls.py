@@ -22,7 +22,8 @@ from tools.fuzz.outcome import Outcome
 from tools.fuzz.reproducible import reproducible
 from twostage_servo.app.assembly import build_service
 from twostage_servo.axis.state import State
-from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
+from twostage_servo.config.errors import ConfigError
+from twostage_servo.config.loader import Config, LoadedConfig, load
 
 PER_EPISODE = 25
 """Configurations of one episode."""

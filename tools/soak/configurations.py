@@ -24,7 +24,8 @@ from typing import Any
 
 from twostage_servo.app.assembly import build_service, design
 from twostage_servo.axis.detection import detections
-from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
+from twostage_servo.config.errors import ConfigError
+from twostage_servo.config.loader import Config, LoadedConfig, load
 
 GATES = (0.025, 0.1, 0.25, 0.5)
 """Innovation gates at standstill as shares of the position overrun: 0.5, 2, 5 and 10 mm of the demo's 20."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from twostage_servo.app.assembly import prepare_axes
 from twostage_servo.axis.messages import DriveTraits
-from twostage_servo.config.loader import ConfigError
+from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.machine import Machine, load_machine
 
 

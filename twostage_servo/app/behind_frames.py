@@ -3,9 +3,9 @@
 import asyncio
 from typing import Any
 
-from twostage_servo.app.configuration_files import shipped_configuration
 from twostage_servo.app.demonstration import Demonstration
 from twostage_servo.axis.state import MOVING, State
+from twostage_servo.config.files import shipped_configuration
 from twostage_servo.config.loader import load
 from twostage_servo.paper.examples import SET_POINT, VELOCITY, Example
 from twostage_servo.paper.experiment import Run, simulate

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twostage_servo.app.configuration_files import find_configuration
 from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.config.files import find_configuration
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -72,9 +72,9 @@ def configuration_problems() -> "Iterator[None]":
     Raises
     ------
     CommandError
-        In place of a :class:`twostage_servo.config.loader.ConfigError`.
+        In place of a :class:`twostage_servo.config.errors.ConfigError`.
     """
-    from twostage_servo.config.loader import ConfigError
+    from twostage_servo.config.errors import ConfigError
 
     try:
         yield

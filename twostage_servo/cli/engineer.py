@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from twostage_servo.axis.design import AxisDesign
-    from twostage_servo.config.loader import Config, ConfigError, LoadedConfig
+    from twostage_servo.config.errors import ConfigError
+    from twostage_servo.config.loader import Config, LoadedConfig
     from twostage_servo.config.machine import Machine
     from twostage_servo.service.axis_loop import AxisLoop
 
@@ -47,9 +48,10 @@ def _check(options: argparse.Namespace) -> ExitCode:
     from pathlib import Path
 
     from twostage_servo.app.assembly import build_service
-    from twostage_servo.config.loader import Config, describe
+    from twostage_servo.config.loader import Config
     from twostage_servo.config.machine import MachineConfig
     from twostage_servo.service.settings import longest_end_s
+    from twostage_servo.settings.reference import describe
 
     if options.explain:
         rows = [*describe(Config), *(row for row in describe(MachineConfig) if row.key.startswith("machine"))]

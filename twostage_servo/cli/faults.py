@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twostage_servo.app.configuration_files import find_configuration
 from twostage_servo.cli.configuration import add_options, configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
 from twostage_servo.cli.typed_numbers import whole
+from twostage_servo.config.files import find_configuration
 
 if TYPE_CHECKING:
     from twostage_servo.faults.cell import Cell

@@ -213,7 +213,7 @@ def _doctor(options: argparse.Namespace) -> ExitCode:
 def _designs(machine: "Machine") -> "Iterator[AxisDesign]":
     """Yield the design of each axis that can be designed; what is wrong with another is for `check` to say."""
     from twostage_servo.app.assembly import design
-    from twostage_servo.config.loader import ConfigError
+    from twostage_servo.config.errors import ConfigError
 
     for loaded in machine.axes:
         with contextlib.suppress(ConfigError):

@@ -8,10 +8,11 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twostage_servo.app.configuration_files import find_configuration
 from twostage_servo.cli.axis_text import describe, line_of, lines_of, progress_line, reports_of, states_of, unheard_of
+from twostage_servo.cli.configuration import configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
 from twostage_servo.cli.typed_numbers import decimal, whole
+from twostage_servo.config.files import find_configuration
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -93,22 +94,13 @@ def _connect(options: argparse.Namespace) -> "Client":
 
 
 def _socket_of(config: Path | None) -> Path | None:
-    config = find_configuration(config)
-    if config is None:
+    path = find_configuration(config)
+    if path is None:
         return None
-    import tomllib  # the whole loader would take longer than the command
+    from twostage_servo.config.named_socket import socket_named_in
 
-    try:
-        table = tomllib.loads(config.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CommandError(ExitCode.USAGE, "config", f"{config} cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise CommandError(ExitCode.USAGE, "config", f"{config} is not TOML: {error}; `check` says more") from error
-    service = table.get("service", {})
-    named = service.get("socket", "") if isinstance(service, dict) else None
-    if not isinstance(named, str):
-        raise CommandError(ExitCode.USAGE, "config", f"{config}: service.socket is not a text; `check` says more")
-    return Path(named) if named else None
+    with configuration_problems():
+        return socket_named_in(path)
 
 
 def _status(options: argparse.Namespace) -> ExitCode:

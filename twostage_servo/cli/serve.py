@@ -4,9 +4,9 @@ import argparse
 import contextlib
 from typing import TYPE_CHECKING, Any
 
-from twostage_servo.app.configuration_files import find_configuration
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_machine
 from twostage_servo.cli.output import CommandError, ExitCode, print_json
+from twostage_servo.config.files import find_configuration
 
 if TYPE_CHECKING:
     import asyncio

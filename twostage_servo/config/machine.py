@@ -4,7 +4,6 @@ A machine's file lists the configurations of its axes, each of which is complete
 """
 
 import re
-import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,7 +11,9 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, Problem, load, load_as
+from twostage_servo.config.errors import ConfigError, Problem
+from twostage_servo.config.loader import Config, LoadedConfig, validated
+from twostage_servo.config.toml_file import read_toml
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.settings.base import Settings
@@ -120,16 +121,17 @@ def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
     ConfigError
         A file cannot be used, or they do not fit together.
     """
-    if path is None or not _is_machine(path):
-        return Machine.of(load(path, overrides))
+    file = read_toml(path)
+    if "machine" not in file.data:
+        return Machine.of(validated(Config, file, overrides))
     for_axes = [found.groups() for override in overrides if (found := _FOR_AN_AXIS.match(override))]
-    machine = load_as(MachineConfig, path, [one for one in overrides if not _FOR_AN_AXIS.match(one)])
+    machine = validated(MachineConfig, file, [one for one in overrides if not _FOR_AN_AXIS.match(one)])
     settings = machine.config.machine
     problems: list[Problem] = []
     axes: list[LoadedConfig[Config]] = []
-    for file in settings.axes:
+    for name in settings.axes:
         try:
-            axes.append(_load_axis(path.parent / file, for_axes))
+            axes.append(_load_axis(file.folder / name, for_axes))
         except ConfigError as error:
             problems += error.problems
     problems += _problems_together(machine, axes)
@@ -147,19 +149,13 @@ def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
     return Machine(machine.source, config.service, config.realtime, settings.when_one_trips, tuple(axes), machine)
 
 
-def _is_machine(path: Path) -> bool:
-    """Whether a file has a table [machine]; what cannot be read is left to the loader, which says why."""
-    try:
-        return "machine" in tomllib.loads(path.read_bytes().decode("utf-8-sig")) if path.is_file() else False
-    except (OSError, ValueError, RecursionError):
-        return False
-
-
 def _load_axis(path: Path, for_axes: Sequence[tuple[str, ...]]) -> LoadedConfig[Config]:
-    loaded = load(path)
+    """Load an axis, which has to be valid alone: only then is its name known, and with it the arguments for it."""
+    file = read_toml(path)
+    loaded = validated(Config, file)
     name = loaded.config.axis.name
     overrides = [text for axis, text in for_axes if axis == name]
-    return load(path, overrides) if overrides else loaded
+    return validated(Config, file, overrides) if overrides else loaded
 
 
 def _problems_together(machine: LoadedConfig[MachineConfig], axes: Sequence[LoadedConfig[Config]]) -> Iterator[Problem]:

@@ -1,107 +1,19 @@
-"""What is wrong with a configuration, for the operator: file, line, key, value, and what would be right."""
+"""What pydantic finds wrong with a configuration, for the operator: file, line, key, value, what would be right."""
 
 import difflib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from twostage_servo.config.document import Document
+from twostage_servo.config.errors import Problem
 from twostage_servo.config.toml_lines import Path
 from twostage_servo.settings.base import Settings
-from twostage_servo.settings.reference import Located, describe, key_text, locate, row, table_of, value_text
+from twostage_servo.settings.reference import Located, describe, locate, row, table_of
+from twostage_servo.settings.toml_text import key_text
 
 _LONGEST_KEY_LIST = 24
 _MOST_PROBLEMS = 100
-
-
-class Problem(NamedTuple):
-    """One thing that is wrong with a configuration.
-
-    Parameters
-    ----------
-    file
-        The file as it was named, or the argument (``--set simulation.gian=3``) that the problem comes from.
-    line
-        Line in the file from 1; None if there is none to name.
-    key
-        Dotted key; empty if the problem is the file's.
-    value
-        The value in TOML notation; None if there is none to show.
-    message
-        What is wrong and what would be right.
-    """
-
-    file: str
-    line: int | None
-    key: str
-    value: str | None
-    message: str
-
-    def __str__(self) -> str:
-        """Write the problem as one block: place, key, value, message."""
-        place = self.file if self.line is None else f"{self.file}:{self.line}"
-        key = self.key if self.value is None else f"{self.key} = {self.value}"
-        text = ": ".join(filter(None, (place, key, self.message)))
-        # Bytes of an argument or a file name that are not UTF-8 must not stop the report on its way to a terminal.
-        return text.encode("utf-8", "backslashreplace").decode()
-
-
-class ConfigError(ValueError):
-    """The configuration cannot be used; ``problems`` holds everything that is wrong with it, in the file's order."""
-
-    def __init__(self, problems: Sequence[Problem]) -> None:
-        self.problems = tuple(problems)
-        super().__init__("\n".join(str(problem) for problem in self.problems))
-
-
-class Override(NamedTuple):
-    """One ``--set KEY=VALUE``."""
-
-    argument: str
-    path: Path
-    value: object
-
-
-@dataclass(frozen=True, slots=True)
-class Document:
-    """Keys and values after all overrides, and where each of them came from."""
-
-    file: str
-    data: Mapping[str, Any]
-    lines: Mapping[Path, int]
-    overrides: Sequence[Override] = ()
-
-    def problem(self, path: Path, message: str) -> Problem:
-        """Name the line or the argument that set a key, or the nearest table around a key that is not there."""
-        file, line = self._place(path)
-        value = self._value(path)
-        if isinstance(value, Mapping) and line is not None:
-            within = [override.argument for override in self.overrides if override.path[: len(path)] == path]
-            message += f" (with {', '.join(within)})" if within else ""
-        text = None if value is None or isinstance(value, Mapping) else value_text(value)
-        return Problem(file, line, key_text(path), text, message)
-
-    def _place(self, path: Path) -> tuple[str, int | None]:
-        for override in reversed(self.overrides):
-            if path[: len(override.path)] == override.path:
-                return override.argument, None
-        if path not in self.lines:
-            for override in self.overrides:
-                if override.path[: len(path)] == path and path:
-                    return override.argument, None
-        ancestors = (path[:length] for length in range(len(path), 0, -1))
-        return self.file, next((self.lines[ancestor] for ancestor in ancestors if ancestor in self.lines), None)
-
-    def _value(self, path: Path) -> Any:
-        value: Any = self.data
-        for part in path:
-            known = range(len(value)) if isinstance(value, list) else value if isinstance(value, Mapping) else ()
-            if part not in known:
-                return None
-            value = value[part]
-        return value
 
 
 def validation_problems(error: ValidationError, document: Document, model: type[Settings]) -> list[Problem]:

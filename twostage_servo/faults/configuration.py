@@ -7,7 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from twostage_servo.app.assembly import build_service, compile_profile
-from twostage_servo.config.loader import Config, ConfigError, LoadedConfig, load
+from twostage_servo.config.errors import ConfigError
+from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.table import REFUSED, TOLERATED, Phase
 

@@ -1,6 +1,5 @@
 """What every configuration key means: type, unit, default, bounds, description; read from the settings themselves."""
 
-import json
 import types
 import typing
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,6 +10,8 @@ import annotated_types
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from twostage_servo.settings.toml_text import key_text, value_text
+
 _TYPE_TEXTS: Mapping[Any, str] = {
     float: "a number",
     int: "a whole number",
@@ -18,7 +19,6 @@ _TYPE_TEXTS: Mapping[Any, str] = {
     str: "a text in quotes",
     Any: "any value",
 }
-_LONGEST_VALUE = 80
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,44 +151,6 @@ def table_of(annotation: Any) -> type[BaseModel] | None:
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             return kind
     return None
-
-
-def key_text(path: Sequence[str | int]) -> str:
-    """Write a path as a dotted TOML key, list entries as ``[0]``."""
-    text = ""
-    for part in path:
-        if isinstance(part, int):
-            text += f"[{part}]"
-        else:
-            bare = part.replace("-", "_").replace("_", "a").isalnum() and part.isascii()
-            text += ("." if text else "") + (part if bare else json.dumps(part, ensure_ascii=False))
-    return text
-
-
-def value_text(value: object) -> str:
-    """Write a value in TOML notation on one line, shortened where it is long."""
-    text = _value_text(value, depth=0)
-    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + "..."
-
-
-def _value_text(value: object, depth: int) -> str:
-    if isinstance(value, list | tuple | dict):
-        return "..." if depth == 3 else _container_text(value, depth + 1)
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value[:_LONGEST_VALUE], ensure_ascii=not value.isprintable())
-    if isinstance(value, int) and value.bit_length() > 256:  # Python refuses to write thousands of decimal digits
-        return hex(value)
-    return "not set" if value is None else str(value)
-
-
-def _container_text(value: list[Any] | tuple[Any, ...] | dict[str, Any], depth: int) -> str:
-    if isinstance(value, dict):
-        return (
-            "{" + ", ".join(f"{key_text((key,))} = {_value_text(entry, depth)}" for key, entry in value.items()) + "}"
-        )
-    return "[" + ", ".join(_value_text(entry, depth) for entry in value[:_LONGEST_VALUE]) + "]"
 
 
 def _alternatives(annotation: Any) -> list[Any]:
