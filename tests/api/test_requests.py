@@ -54,7 +54,7 @@ def test_the_walk_finds_the_numeric_fields() -> None:
         ("move", "position"), ("move", "by"), ("move", "velocity"), ("jog", "velocity"), ("home", "position"),
         ("watch", "every"),
     }  # fmt: skip
-    assert set(OPERATIONS) >= {"status", "take", "release", "reload"}
+    assert set(OPERATIONS) >= {"status", "acquire", "preempt", "take", "release", "reload"}
 
 
 def _line(op: str, field: str, literal: str) -> str:

@@ -93,7 +93,7 @@ def test_an_axis_that_is_named_is_named_in_each_request_that_concerns_one(script
         assert script.asked() == [{"op": op, "axis": "y"}]
 
 
-@pytest.mark.parametrize("op", ["release", "take", "reload"])
+@pytest.mark.parametrize("op", ["release", "acquire", "preempt", "reload"])
 def test_what_concerns_all_axes_names_none(script: Script, op: str) -> None:
     client = script.connect(axis="y")
     script.answers({"ok": True}, {"ok": True})
@@ -174,7 +174,7 @@ def test_a_watcher_waits_for_as_many_ticks_as_it_asked_to_pass(script: Script, e
 # Parting --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("op", ["arm", "move", "stop", "take", "jog"])
+@pytest.mark.parametrize("op", ["arm", "move", "stop", "acquire", "jog"])
 def test_who_has_commanded_gives_the_lease_back(script: Script, op: str) -> None:
     client = script.connect()
     script.answers({"ok": True}, {"ok": True}, {"ok": True})

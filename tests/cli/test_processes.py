@@ -396,9 +396,12 @@ def test_one_operator_commands_and_the_others_watch_or_stop(machine: Machine) ->
     refused = machine.ask("move", "0", exit_code=3)["error"]
     assert refused["code"] == "lease_held"
     assert str(os.getpid()) in refused["message"]
-    assert machine.ask("release", exit_code=3)["error"]["code"] == "busy"
+    assert "release --force" in refused["message"]
+    assert machine.ask("release", exit_code=3)["error"]["code"] == "lease_held"
+    assert machine.ask("release", "--force", exit_code=3)["error"]["code"] == "busy"
     assert str(os.getpid()) in machine.ask("status")["lease"]["holder"]
     assert machine.ask("stop")["axis"]["state"] == "holding"
+    assert machine.ask("release", "--force")["lease"] == {"holder": None}
     assert machine.ask("release")["lease"] == {"holder": None}
     assert machine.ask("move", "--by", "-10", "--wait")["move"]["outcome"] == "reached"
     assert holder.ask(op="move", position=0.0)["ok"]  # each verb has given the lease back as it left

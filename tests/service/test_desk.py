@@ -219,17 +219,29 @@ def test_one_client_commands_and_everybody_may_stop_and_disarm(op: str) -> None:
     assert service.desk.authority.holder == "another"
 
 
+def test_acquire_takes_what_is_free_and_from_nobody() -> None:
+    service = Service()
+    service.ask("one", op="acquire")
+    assert service.desk.authority.holder == "one"
+    service.ask("one", op="acquire")
+    code, said = service.refusal("another", op="acquire")
+    assert code == "lease_held"
+    assert "`release --force`" in said
+    assert service.desk.authority.holder == "one"
+
+
+@pytest.mark.parametrize("op", ["preempt", "take"])
 @pytest.mark.parametrize("state", list(State))
-def test_the_lease_may_be_taken_while_every_axis_is_at_rest(state: State) -> None:
+def test_the_lease_may_be_taken_while_every_axis_is_at_rest(state: State, op: str) -> None:
     service = Service()
     service.ask("one", op="arm")
     service.axes["y"].state = state
     at_rest = {State.DISARMED, State.ARMING, State.HOLDING, State.TRIPPED}
     if state in at_rest:
-        service.ask("another", op="take")
+        service.ask("another", op=op)
         assert service.desk.authority.holder == "another"
     else:
-        assert service.refusal("another", op="take")[0] == "busy"
+        assert service.refusal("another", op=op)[0] == "busy"
 
 
 @pytest.mark.parametrize("policy", ["continue", "stop", "disarm"])
@@ -259,7 +271,7 @@ def test_when_the_client_that_commands_has_gone(policy: str, state: State) -> No
 # The end, and defects ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("op", ["arm", "stop", "disarm", "reset", "take", "release"])
+@pytest.mark.parametrize("op", ["arm", "stop", "disarm", "reset", "acquire", "preempt", "release"])
 def test_a_service_that_ends_only_reads(op: str) -> None:
     service = Service()
     service.is_ending = True

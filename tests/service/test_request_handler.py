@@ -75,6 +75,17 @@ def test_what_is_carried_out_is_told_with_who_asked_for_what() -> None:
     ]  # fmt: skip
 
 
+def test_an_old_name_is_taken_and_the_log_names_the_new_one() -> None:
+    def script(_: World, desk: Desk) -> None:
+        answer = desk.ask(op="take")
+        assert answer is not None
+        assert answer["ok"]
+        desk.ask(op="preempt")
+
+    (told,) = of(at_a_desk(script), "an old name")
+    assert (told["op"], told["use"], told["log_level"]) == ("take", "preempt", "warning")
+
+
 def test_what_is_refused_is_told_to_the_client_and_to_the_log() -> None:
     def script(_: World, desk: Desk) -> None:
         answer = desk.ask(op="move", position=1e6)

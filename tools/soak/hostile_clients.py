@@ -84,7 +84,7 @@ class HostileClients:
     def _request(self) -> dict[str, Any]:
         random = self._random
         return dict(random.choice((
-            {"op": "take"}, {"op": "arm"}, {"op": "arm"}, {"op": "reset"}, {"op": "reset"}, {"op": "stop"},
+            {"op": "preempt"}, {"op": "arm"}, {"op": "arm"}, {"op": "reset"}, {"op": "reset"}, {"op": "stop"},
             {"op": "stop", "quick": True}, {"op": "disarm"}, {"op": "home"}, {"op": "home", "position": 0.0},
             {"op": "jog", "velocity": random.uniform(-50.0, 50.0)}, {"op": "status"}, {"op": "recording"},
             {"op": "reload"}, {"op": "move", "by": random.uniform(-5.0, 5.0)},

@@ -27,6 +27,8 @@ class _Request:
     """
 
     op: ClassVar[str]
+    renamed_to: ClassVar[str] = ""
+    """The name that takes the place of ``op``, where that is an old one."""
 
     def __post_init__(self) -> None:
         problems: list[str] = []
@@ -197,16 +199,31 @@ class HomeRequest(AxisRequest):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReleaseRequest(_Request):
-    """Give the lease back."""
+    """Give control authority back."""
 
     op: ClassVar[str] = "release"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class TakeRequest(_Request):
-    """Take the lease, also from another client while the axis is at rest."""
+class AcquireRequest(_Request):
+    """Take control authority that nobody else holds."""
+
+    op: ClassVar[str] = "acquire"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PreemptRequest(_Request):
+    """Take control authority, also from another client while the axis is at rest."""
+
+    op: ClassVar[str] = "preempt"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TakeRequest(PreemptRequest):
+    """Do the same: this is its old name."""
 
     op: ClassVar[str] = "take"
+    renamed_to: ClassVar[str] = PreemptRequest.op
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -228,6 +245,8 @@ Request = (
     | JogRequest
     | HomeRequest
     | ReleaseRequest
+    | AcquireRequest
+    | PreemptRequest
     | TakeRequest
     | ReloadRequest
 )

@@ -23,7 +23,7 @@ _REPEATED = frozenset({"stop", "disarm"})
 """Asked for again where the connection ends without an answer: asked twice they do no more than once."""
 _WITHOUT_ANSWER = frozenset({"too_many_clients", "connection_lost"})
 _PAUSE_S = 0.002
-_OF_ALL = frozenset({"release", "take", "reload"})
+_OF_ALL = frozenset({"release", "acquire", "preempt", "reload"})
 BAD_USAGE = frozenset({"bad_request", "position_limit", "velocity_limit", "which_axis"})
 """Refusals for which the request alone is to blame, whatever the axis does."""
 _WITHOUT_PLACE = frozenset({"arm", "jog"})

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.cli.axis_text import describe, line_of, lines_of, progress_line, reports_of, states_of, unheard_of
 from twostage_servo.cli.configuration import configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
@@ -62,7 +63,10 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )
     stop.add_argument("--quick", action="store_true", help="with the quick stop deceleration")
     _verb(verbs, "reset", _reset, "clear a trip; the axis is disarmed afterwards")
-    _verb(verbs, "release", _release, "take the lease from whoever holds it, while the axis is at rest")
+    release = _verb(verbs, "release", _release, "give one's own control authority back")
+    release.add_argument(
+        "--force", action="store_true", help="take it from whoever holds it, while the axis is at rest"
+    )
     _verb(verbs, "reload", _reload, "let the service read its configuration again, while the axis is disarmed")
 
 
@@ -228,8 +232,13 @@ def _home(options: argparse.Namespace) -> ExitCode:
 
 def _release(options: argparse.Namespace) -> ExitCode:
     with _connect(options) as client:
-        client.request(op="take")
-        return _finish(options, client.request(op="release"))
+        if options.force:
+            client.request(op="preempt")
+        answer = client.request(op="release")
+    if (holder := answer["lease"]["holder"]) is not None:
+        text = f"{holder} commands this axis: `release --force` takes authority from it while the axis is at rest."
+        raise CommandError(ExitCode.FAILED, RefusalCode.LEASE_HELD, text)
+    return _finish(options, answer)
 
 
 def _reload(options: argparse.Namespace) -> ExitCode:

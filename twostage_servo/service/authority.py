@@ -33,8 +33,9 @@ class Authority:
         if self.holder not in {None, client}:
             raise Refused(
                 RefusalCode.LEASE_HELD,
-                f"{self.holder} commands this axis: end it, let it `release`, or `take` the lease while the axis is at "
-                "rest. `stop` and `disarm` are open to everybody.",
+                f"{self.holder} commands this axis: end it, let it `release`, or take authority from it with "
+                "`release --force` (`preempt` on the socket) while the axis is at rest. `stop` and `disarm` are open "
+                "to everybody.",
             )
         self.holder = client
 

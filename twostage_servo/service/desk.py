@@ -7,19 +7,20 @@ import structlog
 
 from twostage_servo.api.requests import (
     READING,
+    AcquireRequest,
     ArmRequest,
     AxisRequest,
     DisarmRequest,
     HomeRequest,
     JogRequest,
     MoveRequest,
+    PreemptRequest,
     RecordingRequest,
     ReleaseRequest,
     ReloadRequest,
     Request,
     ResetRequest,
     StopRequest,
-    TakeRequest,
 )
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
@@ -158,7 +159,9 @@ class Desk:
                     axis_loop.axis.disarm()
             case ReleaseRequest():
                 self.authority.release(client)
-            case TakeRequest():
+            case AcquireRequest():
+                self.authority.demand(client)
+            case PreemptRequest():
                 at_rest = all(axis_loop.axis.state not in _IN_MOTION for axis_loop in self._service.axis_loops)
                 self.authority.take(client, at_rest=at_rest)
             case _:

@@ -106,6 +106,8 @@ class RequestHandler:
             self._check_age(request, asker)
         if not isinstance(request, JogRequest):  # a jog is asked for several times a second
             self._log.info("request", peer=asker.peer, **request.to_json())
+        if request.renamed_to:
+            self._log.warning("an old name", peer=asker.peer, op=request.op, use=request.renamed_to)
         before = self._stands()
         try:
             self._service.desk.carry_out(request, asker.peer)
