@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.axis.rig import paper
 from tools.soak.axis_soak import AxisSoak
 from tools.soak.configurations import (
     GATES,
@@ -31,7 +32,7 @@ from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.config.loader import load
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.margins import closed_loop_poles
 
 LINEAR = KINDS[0]
@@ -39,7 +40,7 @@ LINEAR = KINDS[0]
 
 def poles(overrides: list[str], stage: Stage) -> list[complex]:
     made = design(load(None, overrides))
-    found = closed_loop_poles(made.plant, made.gains, made.kalman, made.noise, stage)
+    found = closed_loop_poles(made.plant, paper(made).servo_gains, made.kalman, made.noise, stage)
     return sorted(found, key=lambda pole: (round(pole.real, 6), pole.imag))
 
 
@@ -99,8 +100,8 @@ def test_python_control_designs_the_same_poles_in_other_units(length: float, tim
 def test_another_tick_keeps_the_loop_about_as_quick(tick_ms: float) -> None:
     other = design(load(None, overrides(converted(1.0, 1.0, tick_ms / 1e3))))
     demo = design(load(None))
-    assert other.gains.changeover_time_s(other.period_s) == pytest.approx(demo.gains.changeover_time_s(0.01), rel=0.03)
-    assert other.settling_time_s == pytest.approx(demo.settling_time_s, rel=0.03)
+    assert other.law.changeover_time_s == pytest.approx(demo.law.changeover_time_s, rel=0.03)
+    assert other.law.settling_time_s == pytest.approx(demo.law.settling_time_s, rel=0.03)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)

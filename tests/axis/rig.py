@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.messages import Command, DriveTraits, Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
+from twostage_servo.control.laws.paper_design import PaperDesign
 from twostage_servo.control.plant import Plant
 
 PERIOD_S = 0.01
@@ -52,6 +53,12 @@ def axis_settings(
 ) -> AxisSettings:
     tables = {"limits": DEMO["limits"] | limits, "homing": homing or {}, "approach": approach or {}}
     return AxisSettings.model_validate(DEMO | tables)
+
+
+def paper(design: AxisDesign) -> PaperDesign:
+    """Return the design of the paper's law, which every axis here has."""
+    assert isinstance(design.law, PaperDesign)
+    return design.law
 
 
 def check_what_is_told(axis: Axis, tick_index: int) -> None:

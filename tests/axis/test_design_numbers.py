@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.axis.rig import DEMO, PERIOD_S, axis_settings
+from tests.axis.rig import DEMO, PERIOD_S, axis_settings, paper
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.settings import AxisSettings
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.paper import TwoStageLaw
+from twostage_servo.control.laws.stop import StopDesign
 from twostage_servo.control.margins import Margins, loop_margins
 from twostage_servo.control.model_monitor.hypotheses import OTHER_GAINS
 from twostage_servo.control.observer import NO_CORRECTION
@@ -35,12 +37,13 @@ def test_rest_is_a_hundredth_of_the_velocity_limit() -> None:
 
 def test_the_law_is_built_with_the_limits_of_the_axis() -> None:
     for law in (demo().build_law(), demo().build_nominal_law()):
+        assert isinstance(law, TwoStageLaw)
         assert law.effort_limit == 24.0
         assert law.period_s == PERIOD_S
         assert law.observer.plant == demo().plant
         assert law._ramp_limit == pytest.approx(20.0)  # 2000 mm/s² in 10 ms
         assert law._largest_step == pytest.approx(10.0)  # 1000 V/s in 10 ms
-        assert law._rest_velocity == pytest.approx(2.5)
+        assert law.stop_stage._rest_velocity == pytest.approx(2.5)
 
 
 def test_the_law_corrects_its_estimate_by_the_samples_and_the_nominal_one_does_not() -> None:
@@ -85,7 +88,7 @@ def test_the_model_monitor_takes_noise_and_dates_from_the_settings() -> None:
 
 @pytest.mark.parametrize("velocity", [100.0, -100.0])
 def test_the_changeover_distance_has_no_sign(velocity: float) -> None:
-    expected = 100.0 * demo().gains.f11 * PERIOD_S / demo().gains.f22
+    expected = 100.0 * paper(demo()).servo_gains.f11 * PERIOD_S / paper(demo()).servo_gains.f22
     assert demo().changeover_distance(velocity) == pytest.approx(expected)
     assert expected == pytest.approx(54.5, abs=0.05)
 
@@ -101,20 +104,22 @@ def test_ticks_are_rounded_up_but_not_for_an_error_of_rounding(duration_ms: floa
 
 def test_the_effort_swings_from_that_of_the_cruise_to_that_of_braking() -> None:
     """Braking by 360 mm/s² takes 2 V less, at 1000 V/s; more than cruise and limit together it can't be."""
-    assert demo().braking_effort_time_s(100.0, 360.0) == pytest.approx(2.0 / 1000.0)
-    assert demo().braking_effort_time_s(100.0, -360.0) == pytest.approx(2.0 / 1000.0)
+    assert StopDesign(paper(demo()).task).effort_time_s(100.0, 360.0) == pytest.approx(2.0 / 1000.0)
+    assert StopDesign(paper(demo()).task).effort_time_s(100.0, -360.0) == pytest.approx(2.0 / 1000.0)
     most = 90.0 * POLE / GAIN + 24.0
-    assert demo().braking_effort_time_s(90.0, 1e9) == pytest.approx(most / 1000.0)
-    assert demo().braking_effort_time_s(-90.0, 1e9) == pytest.approx(most / 1000.0)
+    assert StopDesign(paper(demo()).task).effort_time_s(90.0, 1e9) == pytest.approx(most / 1000.0)
+    assert StopDesign(paper(demo()).task).effort_time_s(-90.0, 1e9) == pytest.approx(most / 1000.0)
 
 
 def test_a_deceleration_is_attainable_as_far_as_limit_and_rate_of_the_effort_go() -> None:
-    assert demo().attainable(100.0) == 100.0
-    assert demo().attainable(1e9) == pytest.approx(GAIN * 24.0)
-    assert designed(effort_rate=200.0).attainable(1e9) == pytest.approx(GAIN * 200.0 / POLE)
+    assert StopDesign(paper(demo()).task).attainable(100.0) == 100.0
+    assert StopDesign(paper(demo()).task).attainable(1e9) == pytest.approx(GAIN * 24.0)
+    assert StopDesign(paper(designed(effort_rate=200.0)).task).attainable(1e9) == pytest.approx(GAIN * 200.0 / POLE)
     reversed_drive = designed({"plant": {"gain": -180.0, "pole": 14.0}}, effort_rate=200.0)
-    assert reversed_drive.attainable(1e9) == pytest.approx(GAIN * 200.0 / POLE)
-    assert designed({"plant": {"gain": -180.0, "pole": 14.0}}).attainable(1e9) == pytest.approx(GAIN * 24.0)
+    assert StopDesign(paper(reversed_drive).task).attainable(1e9) == pytest.approx(GAIN * 200.0 / POLE)
+    assert StopDesign(paper(designed({"plant": {"gain": -180.0, "pole": 14.0}})).task).attainable(1e9) == pytest.approx(
+        GAIN * 24.0
+    )
 
 
 @pytest.mark.parametrize("velocity", [100.0, -100.0])
@@ -126,15 +131,15 @@ def test_a_stop_of_a_plant_off_its_model_coasts_by_three_tenths_of_its_free_run(
 
 @pytest.mark.parametrize("velocity", [100.0, -100.0])
 def test_the_time_of_a_stop_is_ramp_swing_and_settling(velocity: float) -> None:
-    expected = 100.0 / 2000.0 + 2000.0 / GAIN / 1000.0 + demo().settling_time_s
+    expected = 100.0 / 2000.0 + 2000.0 / GAIN / 1000.0 + demo().law.settling_time_s
     assert demo().stopping_time_s(velocity, 2000.0) == pytest.approx(expected)
 
 
 def test_settling_is_when_the_slowest_pole_of_a_stop_has_died_down_to_a_hundredth() -> None:
     radius = loop_margins(
-        demo().plant, demo().gains, demo().kalman, demo().noise, Stage.BRAKE, frequencies=10
+        demo().plant, paper(demo()).servo_gains, demo().kalman, demo().noise, Stage.BRAKE, frequencies=10
     ).spectral_radius
-    assert radius ** (demo().settling_time_s / PERIOD_S) == pytest.approx(0.01)
+    assert radius ** (demo().law.settling_time_s / PERIOD_S) == pytest.approx(0.01)
 
 
 def test_an_effort_limit_that_is_just_what_the_cruise_takes_is_too_low() -> None:
@@ -152,14 +157,16 @@ def test_an_effort_limit_that_is_just_what_the_cruise_takes_is_too_low() -> None
 
 def test_a_drive_mounted_the_other_way_round_is_designed_with_its_gains_turned_round() -> None:
     turned = designed({"plant": {"gain": -180.0, "pole": 14.0}})
-    ours = (demo().gains.f11, demo().gains.f12, demo().gains.f22)
-    assert (turned.gains.f11, turned.gains.f12, turned.gains.f22) == pytest.approx(tuple(-gain for gain in ours))
+    ours, theirs = demo().law.gains(), turned.law.gains()
+    assert list(ours) == list(theirs) == ["f11", "f12", "f22"]
+    assert list(theirs.values()) == pytest.approx([-gain for gain in ours.values()])
 
 
 def modulus(ratio: float) -> float:
     design = designed({"law": {"performance_index_ratio": ratio}})
     return min(
-        loop_margins(design.plant, design.gains, design.kalman, design.noise, stage).modulus_margin for stage in Stage
+        loop_margins(design.plant, paper(design).servo_gains, design.kalman, design.noise, stage).modulus_margin
+        for stage in Stage
     )
 
 
@@ -181,7 +188,7 @@ def test_a_loop_is_taken_down_to_a_modulus_margin_of_four_tenths() -> None:
 
 def test_the_gains_are_for_the_ratio_of_the_settings() -> None:
     """The paper's second example: (36) prints 1.43, 6.89e-2 and 6.63e-2 for Q/R = 5e-3."""
-    gains = designed({"law": {"performance_index_ratio": 5e-3}}).gains
+    gains = paper(designed({"law": {"performance_index_ratio": 5e-3}})).servo_gains
     assert np.allclose([gains.f11, gains.f12, gains.f22], [1.43, 6.89e-2, 6.63e-2], rtol=4e-3)
 
 
@@ -191,15 +198,15 @@ def test_gains_that_would_not_drive_the_plant_are_refused(
     monkeypatch: pytest.MonkeyPatch, place: str, gain: float
 ) -> None:
     """Near the end of double precision the solution of the Riccati equation may be anything."""
-    gains = replace(demo().gains, **{place: gain})
-    monkeypatch.setattr("twostage_servo.axis.design.servo_gains", lambda *_: gains)
+    gains = replace(paper(demo()).servo_gains, **{place: gain})
+    monkeypatch.setattr("twostage_servo.control.laws.paper_design.servo_gains", lambda *_: gains)
     with pytest.raises(DesignError, match="cannot drive this plant") as caught:
         designed()
     assert caught.value.key == ("axis", "law", "performance_index_ratio")
 
 
 def test_small_gains_are_gains() -> None:
-    gains = designed({"law": {"performance_index_ratio": 1e-5}}).gains
+    gains = paper(designed({"law": {"performance_index_ratio": 1e-5}})).servo_gains
     assert 0.0 < gains.f22 * GAIN < 1.0
 
 
@@ -209,7 +216,7 @@ def test_each_stage_is_judged_by_its_own_loop(monkeypatch: pytest.MonkeyPatch, w
     true_margins = loop_margins
     with monkeypatch.context() as patched:
         patched.setattr(
-            "twostage_servo.axis.design.closed_loop_poles",
+            "twostage_servo.control.laws.paper_design.closed_loop_poles",
             lambda *loop: [0.5, 1.5j if loop[4] is worst else 0.6],
         )
         with pytest.raises(DesignError, match=f"the {worst.name.lower()} stage would be unstable"):
@@ -219,6 +226,6 @@ def test_each_stage_is_judged_by_its_own_loop(monkeypatch: pytest.MonkeyPatch, w
         margins = true_margins(model, gains, kalman, noise, stage, frequencies=frequencies)
         return replace(margins, modulus_margin=0.39 if stage is worst else 0.41)
 
-    monkeypatch.setattr("twostage_servo.axis.design.loop_margins", fragile)
+    monkeypatch.setattr("twostage_servo.control.laws.paper_design.loop_margins", fragile)
     with pytest.raises(DesignError, match=f"the {worst.name.lower()} stage would be fragile"):
         designed()

@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 
 from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.design import MODEL_ERROR, design_axis
+from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.disabled_drive import DisabledDriveWatch
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.control.plant import MODEL_ERROR
 
 DESIGN = design_axis(axis_settings(), PERIOD_S)
 PATIENCE = 52

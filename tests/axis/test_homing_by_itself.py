@@ -8,7 +8,7 @@ import pytest
 from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.homing import Homing, HomingFailed
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
 SEARCH = {"velocity": 40.0, "slow_velocity": 20.0, "travel": 300.0, "effort": 4.0, "stop_time_ms": 50.0}
 
@@ -23,6 +23,7 @@ class Bench:
         self.asked: list[tuple[float, float] | float] = []
         observer = SimpleNamespace(position=position, velocity=0.0, plant=self.design.plant)
         self.law = SimpleNamespace(observer=observer, effort=0.0, effort_limit=24.0, saturated=False, stage=Stage.SPEED)
+        self.law.limit_effort = lambda limit: setattr(self.law, "effort_limit", limit)
         motion: Any = SimpleNamespace(
             law=self.law,
             doubts_sample=False,

@@ -9,7 +9,7 @@ import pytest
 from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.motion import Motion
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
 DESIGN = design_axis(axis_settings(), PERIOD_S)
 """An innovation of 0.5 mm and 3 ms of speed is believed; a jam takes 5 ticks."""

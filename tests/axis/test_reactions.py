@@ -8,13 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings, paper
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import NO_EFFORT, DriveTraits
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.axis.trips import RULES, Reaction, TripCode
+from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.plant import Plant
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ def test_a_frozen_encoder_at_low_speed_is_found_by_what_the_effort_does() -> Non
     rig.sees = lambda _: place
     tripped(rig, TripCode.JAM)
     # The effort rises by f22 times the missing speed a tick until it has changed by 2.5 V.
-    ticks = 2.5 / (rig.axis.design.gains.f22 * 10.0)
+    ticks = 2.5 / (paper(rig.axis.design).servo_gains.f22 * 10.0)
     assert rig.position - at < (10.0 + 2.5 * 180.0 / 14.0) * ticks * PERIOD_S + 5.0
 
 
@@ -482,7 +483,9 @@ def test_disarming_does_not_make_a_quick_stop_milder(*, again: bool) -> None:
 
 def test_an_effort_that_is_no_number_trips_in_its_tick_whatever_it_comes_from() -> None:
     rig = AxisRig().cruising()
-    rig.axis.law._sum = math.nan
+    law = rig.axis.law
+    assert isinstance(law, TwoStageLaw)
+    law._sum = math.nan
     assert rig.tick() == NO_EFFORT
     assert rig.axis.trip is not None
     assert rig.axis.trip.code is TripCode.NOT_FINITE

@@ -13,7 +13,7 @@ from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.moves import Move
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
 SEARCH: dict[str, Any] = {"method": "index", "velocity": 40.0, "slow_velocity": 5.0, "travel": 300.0, "position": 12.0}
 

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
+from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings, paper
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.control.laws.stop import StopDesign
 
 STOP, QUICK = 2000.0, 4000.0
 """Decelerations of the rig's axis, in mm/s²."""
@@ -101,7 +102,7 @@ def test_the_formula_by_hand() -> None:
     assert DESIGN.stopping_distance(80.0, QUICK) == pytest.approx(0.8 + 80.0 * 2.0 / 180.0 + 3.5 * 0.8)
     assert DESIGN.stopping_distance(-250.0, QUICK) == DESIGN.stopping_distance(250.0, QUICK)
     # More than gain times effort limit, 4320 mm/s², can't be had, however steep the ramp.
-    assert DESIGN.attainable(1e6) == pytest.approx(4320.0)
+    assert StopDesign(paper(DESIGN).task).attainable(1e6) == pytest.approx(4320.0)
 
 
 def test_a_controlled_stop_after_a_trip_is_a_stop_and_then_disables() -> None:
@@ -163,9 +164,9 @@ def test_a_quick_stop_may_be_asked_for_in_every_motion() -> None:
 
 
 def test_the_time_of_a_stop_is_ramp_and_swing_and_settling() -> None:
-    expected = 250.0 / QUICK + (QUICK / 180.0) / 1000.0 + DESIGN.settling_time_s
+    expected = 250.0 / QUICK + (QUICK / 180.0) / 1000.0 + DESIGN.law.settling_time_s
     assert DESIGN.stopping_time_s(250.0, QUICK) == pytest.approx(expected)
-    assert 0.3 < DESIGN.settling_time_s < 0.5  # the slowest pole of a stop is 0.889: ln 0.01 / ln 0.889 ticks
+    assert 0.3 < DESIGN.law.settling_time_s < 0.5  # the slowest pole of a stop is 0.889: ln 0.01 / ln 0.889 ticks
 
 
 def test_an_axis_can_stop_just_where_a_stop_is_not_refused() -> None:

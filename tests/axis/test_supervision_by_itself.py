@@ -11,7 +11,7 @@ from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.state import State
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
 DESIGN = design_axis(axis_settings(position_minimum=-100.0, position_maximum=250.0), PERIOD_S)
 """Overspeed 320 mm/s, overrun 20 mm, rest 2.5 mm/s, window 0.05 mm for 10 ticks, jam 2.5 V for 5 ticks, 24 V for 50."""

@@ -10,7 +10,7 @@ from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import NO_EFFORT, Command, DriveTraits, Feedback
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import RULES, Reaction, Trip, TripCode
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
 
 def axis_with(*, required: bool = False, position: float = 0.0) -> Axis:

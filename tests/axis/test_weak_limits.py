@@ -5,10 +5,11 @@ from typing import Any
 
 import pytest
 
-from tests.axis.rig import DEMO, PERIOD_S
+from tests.axis.rig import DEMO, PERIOD_S, paper
 from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.weak_limits import WeakLimit, weak_limits
+from twostage_servo.control.plant import Plant
 
 DESIGN = design_axis(AxisSettings.model_validate(DEMO), PERIOD_S)
 """5,000 mm at 250 mm/s, 20 mm to stop in past the limits, a tick of 10 ms."""
@@ -22,7 +23,16 @@ def changed(tick_s: float = PERIOD_S, **tables: Any) -> AxisDesign:
         name: DEMO[name] | table if name in DEMO and name != "cruise_velocity" else table
         for name, table in tables.items()
     }
-    return dataclasses.replace(DESIGN, settings=AxisSettings.model_validate(DEMO | merged), period_s=tick_s)
+    settings = AxisSettings.model_validate(DEMO | merged)
+    limits, law = settings.limits, paper(DESIGN)
+    task = dataclasses.replace(
+        law.task,
+        plant=Plant(settings.plant.gain, settings.plant.pole),
+        period_s=tick_s,
+        effort_limit=limits.effort,
+        effort_rate_limit=limits.effort_rate,
+    )
+    return dataclasses.replace(DESIGN, settings=settings, period_s=tick_s, law=dataclasses.replace(law, task=task))
 
 
 def value_of(design: AxisDesign, key: tuple[str, ...]) -> object:

@@ -1,7 +1,9 @@
 """Numbers that the paper prints or the documentation names, as they are there."""
 
 from twostage_servo.control.baselines.transcription import Reading
-from twostage_servo.control.laws.paper import BRAKING_SHARE, REST_TICKS, SPEED_TOLERANCE, Stage, braking_gain
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.paper import SPEED_TOLERANCE
+from twostage_servo.control.laws.stop import BRAKING_SHARE, REST_TICKS, braking_gain
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel
 from twostage_servo.control.optimal import WEIGHTS, ServoGains
 from twostage_servo.control.plant import DiscretePlant

@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.margins import closed_loop_poles, controller, loop_margins
 from twostage_servo.control.observer import KalmanGain, NoiseModel, kalman_gain
 from twostage_servo.control.optimal import ServoGains, servo_gains

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.margins import (
     Margins,
     _gain_margins,

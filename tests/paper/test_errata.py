@@ -5,7 +5,7 @@ import re
 import pytest
 
 from twostage_servo.control.baselines.transcription import UnsolvableError
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.margins import closed_loop_poles
 from twostage_servo.control.observer import NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains

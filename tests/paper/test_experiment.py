@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from twostage_servo.control.baselines.compared_law import ComparedLaw
 from twostage_servo.control.baselines.transcription import Reading
-from twostage_servo.control.laws.law import Law
 from twostage_servo.control.plant import Plant
 from twostage_servo.paper.examples import EXAMPLE_1, EXAMPLE_2, EXAMPLES, Example
 from twostage_servo.paper.experiment import DrivenPlant, Run, simulate
@@ -61,7 +61,7 @@ class Recorder:
 class Overheard:
     """Another law, whose samples are written down on their way."""
 
-    law: Law
+    law: ComparedLaw
     samples: list[float] = field(default_factory=list)
 
     @property
@@ -84,15 +84,15 @@ class Overheard:
         return self.law.step(sample)
 
 
-def always(law: Law) -> Builder:
+def always(law: ComparedLaw) -> Builder:
     return lambda _example, _sensor: law
 
 
-def noise_of(build: Callable[[Example, Sensor], Law], seed: int) -> Matrix:
+def noise_of(build: Callable[[Example, Sensor], ComparedLaw], seed: int) -> Matrix:
     """What was added to the positions, by the law's own samples; those of one period before are shifted back."""
     heard: list[Overheard] = []
 
-    def overheard(example: Example, sensor: Sensor) -> Law:
+    def overheard(example: Example, sensor: Sensor) -> ComparedLaw:
         heard.append(Overheard(build(example, sensor)))
         return heard[0]
 

@@ -2,9 +2,9 @@
 
 from random import Random
 
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.messages import Command, Feedback
-from twostage_servo.control.plant import Plant
+from twostage_servo.control.plant import MODEL_ERROR, Plant
 
 COUNTER_MODULUS = 16
 

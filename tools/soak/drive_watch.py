@@ -3,10 +3,10 @@
 from typing import Protocol
 
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import ENABLED
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.control.plant import MODEL_ERROR
 
 _SLACK_TICKS = 4
 """A command acts a tick later, its report comes a tick after that, and both may have just been missed."""

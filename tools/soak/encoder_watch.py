@@ -18,11 +18,12 @@ import math
 from collections import deque
 
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.detection import allowed_travel, slowest_certain_velocity
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
 from twostage_servo.axis.state import BRAKING, COMMANDED, DRIVEN
 from twostage_servo.control.model_monitor.monitor import DATE_SHARE, NOISE_SHARE
+from twostage_servo.control.plant import MODEL_ERROR
 
 ENCODER_FACTORS = {"turned round": -1.0, "counting double": 2.0, "counting half": 0.5, "frozen": 0.0}
 """What can become of an encoder, and how many units it then counts for one."""

@@ -3,9 +3,9 @@
 import resource
 
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.design import MODEL_ERROR
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.state import DRIVEN, LATCHED, State
+from twostage_servo.control.plant import MODEL_ERROR
 
 
 class BrokenInvariantError(AssertionError):

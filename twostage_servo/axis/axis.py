@@ -4,7 +4,7 @@ import math
 
 from twostage_servo.axis.admission import say_tripped
 from twostage_servo.axis.design import AxisDesign
-from twostage_servo.axis.duration import move_duration
+from twostage_servo.axis.duration import MoveDuration
 from twostage_servo.axis.homing import Homing
 from twostage_servo.axis.machine import Machine
 from twostage_servo.axis.messages import DriveTraits
@@ -25,7 +25,7 @@ class Axis(Machine):
 
     def __init__(self, design: AxisDesign, traits: DriveTraits) -> None:
         super().__init__(design, traits)
-        self.duration = move_duration(design)
+        self.duration = MoveDuration(design)
         self._moves = 0
 
     # What the operator asks for --------------------------------------------------------------------------------------

@@ -68,9 +68,9 @@ class BrakingEstimate:
             Whether the last samples are: then the model goes on from what was known before them.
         """
         if in_doubt:
-            observer.velocity, observer.disturbance = self._velocity, self._disturbance
+            observer.correct(self._velocity, self._disturbance)
         else:
-            observer.velocity, observer.disturbance = self._without_corrections(observer)
+            observer.correct(*self._without_corrections(observer))
         self._standing = 0.0
 
     def _without_corrections(self, observer: DisturbanceObserver) -> tuple[float, float]:

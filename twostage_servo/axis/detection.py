@@ -143,11 +143,9 @@ class _Run:
         self._changed_at = self._sample = 0.0
         self.position, self.velocity = velocity * design.period_s, velocity  # a tick after the first sample
         law, cruise_effort = self._motion.law, velocity * settings.plant.pole / settings.plant.gain
-        law.observer.velocity = velocity
-        self._motion.start(cruise_effort)
+        law.observer.correct(velocity, 0.0)
         self._supervision.start()
-        law.effort = cruise_effort
-        self._motion.nominal.continue_from(law)
+        self._motion.start(cruise_effort)
         self._motion.set_target(2.0 * velocity * (_LONGEST_S + _SETTLING_TICKS * design.period_s) + 1.0, velocity)
         self._state = State.SPEED_STAGE
 

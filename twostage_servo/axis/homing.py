@@ -6,7 +6,7 @@ from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.settings import HomingSettings
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
 _TICKS_AHEAD = 3
 """Ticks by which an index mark may be ahead of the samples."""
@@ -74,7 +74,7 @@ class Homing:
             self._phase = _Phase.SEEK
             self._go(self._sign, settings.velocity if settings.method == "switch" else settings.slow_velocity)
         if settings.method == "hard_stop":
-            motion.law.effort_limit = settings.effort
+            motion.law.limit_effort(settings.effort)
 
     @staticmethod
     def first_direction(settings: HomingSettings, drive: DriveReport) -> float:
@@ -89,7 +89,7 @@ class Homing:
 
     def end(self) -> None:
         """Give the axis its own effort limit back; also after a search that was broken off."""
-        self._motion.law.effort_limit = self._effort_limit
+        self._motion.law.limit_effort(self._effort_limit)
 
     def step(self) -> None:
         """Look at this tick.

@@ -16,7 +16,7 @@ from twostage_servo.axis.state import BRAKING, CIA402, COMMANDED, DRIVEN, ENABLE
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import EVENTS, RULES, Trip, TripCode
 from twostage_servo.control.estimate import Estimate
-from twostage_servo.control.laws.paper import Stage, TwoStageLaw
+from twostage_servo.control.laws.law import Law, Stage
 
 _DISABLED_TICKS = 2
 """Disable commands that must have left before the axis may be armed: one may have been lost."""
@@ -86,7 +86,7 @@ class Machine:
         self._jog_ticks = design.ticks(self.settings.jog_timeout_ms)
 
     @property
-    def law(self) -> TwoStageLaw:
+    def law(self) -> Law:
         """The law that drives the axis."""
         return self.motion.law
 
@@ -118,7 +118,7 @@ class Machine:
     @property
     def distance_to_go(self) -> float:
         """Distance from the estimated position to the set-point, in axis unit, never negative."""
-        return self.motion.law.distance
+        return abs(self.motion.law.target - self.motion.law.observer.position)
 
     @property
     def speed_reference(self) -> float:

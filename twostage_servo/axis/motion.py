@@ -8,7 +8,7 @@ from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
 IMPLAUSIBLE_SAMPLES = 2
 """Samples in a row beyond the innovation limit that are a fault: one is a spike, two are not."""
@@ -104,14 +104,14 @@ class Motion:
 
     def start(self, effort: float = 0.0) -> None:
         """Hold from here on; the observer has been tracking the axis, on which `effort` (effort unit) acts."""
-        self.law.start()
+        self.law.start(effort)
         self._effort = effort
         self.nominal.continue_from(self.law)
         self.model_monitor.start(self.law.observer, effort)
         self._gap.close()
         self._braking.start(self.law.observer, effort)
         self._load.start()
-        self.law.effort_limit = self._limits.effort
+        self.law.limit_effort(self._limits.effort)
         self._forget()
 
     def set_target(self, target: float, velocity: float) -> None:
@@ -127,7 +127,7 @@ class Motion:
         friction = self._load.friction(observer.velocity, observer.disturbance)
         self.law.stop(deceleration, friction, gradual=not self.blind)
         if self._stands_at is not None:  # what holds the axis, if it is not the encoder, must bear no more than it does
-            self.law.effort_limit = max(abs(self.law.effort), self._limits.jam_effort)
+            self.law.limit_effort(max(abs(self.law.effort), self._limits.jam_effort))
         self.nominal.continue_from(self.law)
 
     def shift(self, distance: float) -> None:
@@ -257,9 +257,7 @@ class Motion:
         factor = 0.0 if self._stands else self.model_monitor.better_factor or 0.0
         reckoning = self.model_monitor.reckon(factor)
         self.go_blind()
-        observer = self.law.observer
-        observer.velocity, observer.disturbance = reckoning
-        self.law.speed_reference = reckoning.velocity  # also where a stop by the former estimate has begun
+        self.law.go_on_at(reckoning.velocity, reckoning.disturbance)  # also where a stop has begun by the former one
 
     @property
     def moves_after_all(self) -> bool:
@@ -306,7 +304,7 @@ class Motion:
         elif self._stands and stage is Stage.BRAKE and not self.blind:
             # It stands by friction, or its encoder has frozen. What seems to hold it then must not be compensated: the
             # axis would creep on behind an encoder that shows nothing.
-            observer.disturbance = self._load.load
+            observer.correct(observer.velocity, self._load.load)
 
     def _compare_with_the_last(self) -> None:
         """Compare what the encoder shows, not dated: an encoder that stands still has no speed to date it by."""

@@ -2,8 +2,9 @@
 
 import math
 
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import AxisDesign
 from twostage_servo.control.observer import DisturbanceObserver
+from twostage_servo.control.plant import MODEL_ERROR
 
 _CLOSED_SHARE = 1e-3
 """Share of the innovation gate at standstill, below which an error that is left over from a gap counts as none."""

@@ -7,7 +7,7 @@ from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES, Motion
 from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
 Violation = tuple[TripCode, str]
 
@@ -59,7 +59,7 @@ class Supervision:
         self._saturation_ticks = design.ticks(settings.limits.effort_saturation_ms)
         self._jam_ticks = design.ticks(settings.limits.jam_time_ms)
         self._window_ticks = design.ticks(settings.window.time_ms)
-        self._changeover_time_s = design.gains.changeover_time_s(design.period_s)
+        self._changeover_time_s = design.law.changeover_time_s
         self._ticks_in_window = 0
         self.start()
 

@@ -8,8 +8,9 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from twostage_servo.axis.admission import slowest_velocity
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.feedback import WINDOW_TICKS
+from twostage_servo.control.plant import MODEL_ERROR
 
 _CROSSED: Final = "at its largest velocity the axis crosses its whole travel in {0:.4g} ms"
 _LARGE_SHARE: Final = 0.5

@@ -209,25 +209,21 @@ def _design(options: argparse.Namespace) -> ExitCode:
 
 
 def _report(design: "AxisDesign", velocity: float) -> dict[str, Any]:
-    from twostage_servo.control.laws.paper import Stage
-    from twostage_servo.control.margins import closed_loop_poles, loop_margins
-
-    stages = {}
-    for stage in Stage:
-        loop = (design.plant, design.gains, design.kalman, design.noise, stage)
-        margins = loop_margins(*loop)
-        stages[stage.name.lower()] = {
-            "gain_margin": _finite(margins.gain_margin),
-            "gain_reduction_margin": margins.gain_reduction_margin,
-            "phase_margin_deg": _finite(margins.phase_margin_deg),
-            "delay_margin_ms": _finite(1e3 * margins.delay_margin_s),
-            "modulus_margin": margins.modulus_margin,
-            "poles": [[pole.real, pole.imag] for pole in sorted(closed_loop_poles(*loop), key=abs, reverse=True)],
+    stages = {
+        name: {
+            "gain_margin": _finite(loop.gain_margin),
+            "gain_reduction_margin": loop.gain_reduction_margin,
+            "phase_margin_deg": _finite(loop.phase_margin_deg),
+            "delay_margin_ms": _finite(1e3 * loop.delay_margin_s),
+            "modulus_margin": loop.modulus_margin,
+            "poles": [[pole.real, pole.imag] for pole in loop.poles],
         }
+        for name, loop in design.law.loops().items()
+    }
     return {
         "period_ms": 1e3 * design.period_s,
         "plant": {name: getattr(design.plant, name) for name in ("a12", "a22", "b1", "b2")},
-        "gains": {"f11": design.gains.f11, "f12": design.gains.f12, "f22": design.gains.f22},
+        "gains": dict(design.law.gains()),
         "velocity": velocity,
         "changeover_distance": design.changeover_distance(velocity),
         "kalman_gain": {"predictor": design.kalman.predictor, "current": design.kalman.current},
@@ -241,13 +237,11 @@ def _finite(value: float) -> float | None:
 
 def _as_text(report: dict[str, Any], design: "AxisDesign") -> str:
     axis = design.settings
-    gains, kalman = report["gains"], report["kalman_gain"]["predictor"]
+    gains = ", ".join(f"{name} {value:.4g}" for name, value in report["gains"].items())
+    origin, kalman = design.law.origin(), report["kalman_gain"]["predictor"]
     lines = [
         f"plant      {axis.plant.gain:g} / (s (s + {axis.plant.pole:g})), sampled every {report['period_ms']:g} ms",
-        (
-            f"gains      f11 {gains['f11']:.4g}, f12 {gains['f12']:.4g}, f22 {gains['f22']:.4g}"
-            f"   (Q/R {axis.law.performance_index_ratio:g})"
-        ),
+        f"gains      {gains}" + (f"   ({origin})" if origin else ""),
         (
             f"changeover {report['changeover_distance']:.4g} {axis.unit} before the set-point at "
             f"{report['velocity']:g} {axis.unit}/s"

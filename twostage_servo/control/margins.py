@@ -7,7 +7,8 @@ The loop is broken at the effort. With ``z = [x_o; I]`` the controller is ``z(k+
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from twostage_servo.control.laws.paper import Stage, braking_gain
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.stop import braking_gain
 from twostage_servo.control.observer import KalmanGain, NoiseModel, extended_model
 from twostage_servo.control.optimal import ServoGains
 from twostage_servo.control.plant import DiscretePlant

@@ -159,6 +159,14 @@ class DisturbanceObserver:
         """Advance one period without a sample: ``x_o(k) = A_o x_o(k-1) + B_o u(k-1)``."""
         self.update(self.position, effort)
 
+    def correct(self, velocity: float, disturbance: float) -> None:
+        """Go on from another velocity and disturbance, in axis unit/s and effort unit, at the same position."""
+        self.velocity, self.disturbance = velocity, disturbance
+
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower."""
+        self.position += distance
+
     def continue_from(self, other: "DisturbanceObserver") -> None:
         """Take over another observer's estimate."""
         self.position, self.velocity, self.disturbance = other.position, other.velocity, other.disturbance

@@ -7,6 +7,10 @@ Triple = tuple[float, float, float]
 """Three numbers, one per state."""
 
 
+MODEL_ERROR = 0.3
+"""Share by which the true plant may differ from its model: what an axis has to be good for."""
+
+
 @dataclass(frozen=True, slots=True)
 class Plant:
     """A velocity lag and an integrator, ``G(s) = gain / (s (s + pole))``, from effort to position.

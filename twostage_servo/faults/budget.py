@@ -10,8 +10,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
+from twostage_servo.control.plant import MODEL_ERROR
+from twostage_servo.faults.servo_gains import servo_gains_of
 from twostage_servo.faults.world import Sample
 
 _SAMPLE_AGE_TICKS = 2
@@ -165,8 +167,10 @@ class Budget:
         if speed * self.tick_s > self.innovation(speed):
             return self.implausible()
         missing = self.reference.to_go if self.reference.closing else self.design.settings.cruise_velocity
+        f22 = servo_gains_of(self.design).f22
         ticks = max(
-            self.design.ticks(self.limits.jam_time_ms), self.limits.jam_effort / (self.design.gains.f22 * missing)
+            self.design.ticks(self.limits.jam_time_ms),
+            self.limits.jam_effort / (f22 * missing),
         )
         noticed_s = self.noticing_s(ticks + self.design.ticks(self.limits.jam_time_ms))
         added = self._gain / self._pole * self.limits.jam_effort * (1.0 + MODEL_ERROR)
@@ -203,7 +207,7 @@ class Budget:
         effort of the moment to the limit that takes the logarithm of how much is missing then and there; beside it
         there are the ramp of the reference and the plant's own lag. Then the limit's time begins.
         """
-        limits, gains = self.limits, self.design.gains
+        limits, gains = self.limits, servo_gains_of(self.design)
         reachable = share * limits.velocity
         static_gain = reachable / limits.effort
         f12, f22 = abs(gains.f12), abs(gains.f22)

@@ -9,6 +9,7 @@ from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.paper import SPEED_TOLERANCE
 from twostage_servo.faults.drive_faults import creep
+from twostage_servo.faults.servo_gains import servo_gains_of
 from twostage_servo.faults.world import Sample, World
 
 Check = Callable[[World], Awaitable[str | None]]
@@ -105,13 +106,14 @@ async def within_jam_effort(world: World) -> str | None:
         return "the jam was not noticed"
     before = next(sample for sample in reversed(world.samples) if sample.time_s <= world.begun_s)
     closing = before.state == State.POSITION_STAGE.value
-    rise = abs(design.gains.f22) * (abs(world.target - world.fault_place) if closing else world.velocity)
+    gains = servo_gains_of(design)
+    rise = abs(gains.f22) * (abs(world.target - world.fault_place) if closing else world.velocity)
     ticks = max(jam_ticks, limits.jam_effort / rise) + jam_ticks + 3.0
     # While the speed reference is on its ramp, half as much is missing.
     ramp_ticks = 0.0 if closing else world.velocity / limits.acceleration / design.period_s
     if len(stuck) > ticks + 0.5 * ramp_ticks:
         return f"the jam was noticed after {len(stuck)} ticks, {ticks + 0.5 * ramp_ticks:.1f} are allowed"
-    most = abs(before.effort) + 2.0 * abs(design.gains.f12 * before.velocity) + rise * ticks
+    most = abs(before.effort) + 2.0 * abs(gains.f12 * before.velocity) + rise * ticks
     braking = max(most, limits.quick_stop_deceleration / abs(world.axis.settings.plant.gain))
     for samples, allowed in ((stuck, most), (after[len(stuck) :], braking)):
         largest = max((abs(sample.effort) for sample in samples), default=0.0)
@@ -205,7 +207,7 @@ async def continuous(world: World) -> str | None:
         return "the tick of the new set-point cannot be compared with one without it"
     apart = abs(after[0].effort - usual[round(after[0].time_s, 6)].effort)
     speed = max(world.velocity, *(abs(sample.velocity) for sample in world.undisturbed))
-    tick_of_the_sum = abs(axis.design.gains.f11) * world.period_s * speed * (1.0 + SPEED_TOLERANCE)
+    tick_of_the_sum = abs(servo_gains_of(axis.design).f11) * world.period_s * speed * (1.0 + SPEED_TOLERANCE)
     largest, usual_step = _largest_step(world.samples), _largest_step(world.undisturbed)
     if apart > tick_of_the_sum + 1e-9:
         return f"the new set-point changes the effort by {apart:.4g} at once, {tick_of_the_sum:.4g} is allowed"

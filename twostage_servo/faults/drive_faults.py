@@ -5,6 +5,7 @@ from collections.abc import Callable
 from random import Random
 
 from twostage_servo.axis.state import DRIVEN, State
+from twostage_servo.faults.servo_gains import servo_gains_of
 from twostage_servo.faults.world import World
 from twostage_servo.timing.ticks import Tick
 
@@ -135,7 +136,7 @@ def tolerable_load(world: World) -> float:
 
     In the position stage a load step L moves the axis by less than L/f11, its deflection if the sum did nothing.
     """
-    return world.axis.settings.limits.following_error_minimum / 3.0 * abs(world.axis.design.gains.f11)
+    return world.axis.settings.limits.following_error_minimum / 3.0 * abs(servo_gains_of(world.axis.design).f11)
 
 
 def another_plant(world: World, random: Random) -> None:

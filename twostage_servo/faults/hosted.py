@@ -9,8 +9,9 @@ from pathlib import Path
 from random import Random
 
 from twostage_servo.app.assembly import design
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import AxisDesign  # noqa: TC001 - the class of an attribute
 from twostage_servo.axis.state import State
+from twostage_servo.control.plant import MODEL_ERROR
 from twostage_servo.faults.approach import Approach, distance
 from twostage_servo.faults.bench import Bench
 from twostage_servo.faults.budget import Budget, Reference

@@ -3,10 +3,11 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from twostage_servo.axis.design import MODEL_ERROR, AxisDesign
+from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.detection import slowest_certain_velocity
 from twostage_servo.config.loader import Config
 from twostage_servo.control.model_monitor.monitor import NOISE_SHARE
+from twostage_servo.control.plant import MODEL_ERROR
 
 
 class Motion(NamedTuple):

@@ -4,19 +4,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from twostage_servo.control.baselines.compared_law import ComparedLaw
 from twostage_servo.control.baselines.conventional import ConventionalTwoStage
 from twostage_servo.control.baselines.optimal_servo import OptimalServo
 from twostage_servo.control.baselines.pid import Pid
 from twostage_servo.control.baselines.transcription import Reading, TranscribedLaw
 from twostage_servo.control.baselines.velocity import Differentiator, speed_sensor
-from twostage_servo.control.laws.law import Law
 from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.paper.examples import NOISE, PERIOD_S, Example
 
 Sensor = Callable[[], float]
 """Reads the true velocity, in mm/s."""
-Builder = Callable[[Example, Sensor], Law]
+Builder = Callable[[Example, Sensor], ComparedLaw]
 
 CONVENTIONAL: Final = "conventional_differentiated"
 """The paper's plant has one output, so the conventional method of its examples differentiates."""
@@ -41,27 +41,27 @@ def transcribed(reading: Reading) -> Builder:
     return lambda example, _: TranscribedLaw(example.model, example.ratio, NOISE.measurement_variance, reading)
 
 
-def _proposed(example: Example, _: Sensor) -> Law:
+def _proposed(example: Example, _: Sensor) -> ComparedLaw:
     observer = DisturbanceObserver(example.model, example.kalman.predictor, NOISE.disturbance_memory)
     return TwoStageLaw(observer, example.gains, PERIOD_S)
 
 
-def _two_output(example: Example, sensor: Sensor) -> Law:
+def _two_output(example: Example, sensor: Sensor) -> ComparedLaw:
     return ConventionalTwoStage(example.model, example.gains, speed_sensor(sensor))
 
 
-def _one_output(example: Example, _: Sensor) -> Law:
+def _one_output(example: Example, _: Sensor) -> ComparedLaw:
     return ConventionalTwoStage(example.model, example.gains, Differentiator(PERIOD_S))
 
 
-def model_difference_without_sensor(example: Example, _: Sensor) -> Law:
+def model_difference_without_sensor(example: Example, _: Sensor) -> ComparedLaw:
     """Build the law of reference [6] with a differentiated velocity: it is published with a speed sensor."""
     return ConventionalTwoStage(
         example.model, example.gains, Differentiator(PERIOD_S), difference_gain=example.gains.f11
     )
 
 
-def _model_difference(example: Example, sensor: Sensor) -> Law:
+def _model_difference(example: Example, sensor: Sensor) -> ComparedLaw:
     return ConventionalTwoStage(example.model, example.gains, speed_sensor(sensor), difference_gain=example.gains.f11)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from twostage_servo.control.laws.law import Law
+from twostage_servo.control.baselines.compared_law import ComparedLaw
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import Plant
 
@@ -34,7 +34,7 @@ class Axis:
         continuous = np.array([[0.0, 1.0, 0.0], [0.0, -self.plant.pole, self.plant.gain], [0.0, 0.0, 0.0]])
         (_, self._a12, self._b1), (_, self._a22, self._b2), _ = expm(continuous * PERIOD_S).tolist()
 
-    def drive(self, law: Law, ticks: int, noise: Sequence[float] | None = None) -> NDArray[np.float64]:
+    def drive(self, law: ComparedLaw, ticks: int, noise: Sequence[float] | None = None) -> NDArray[np.float64]:
         """Close the loop; return position and velocity before each effort, and that effort, in three rows."""
         rows = []
         for k in range(ticks):

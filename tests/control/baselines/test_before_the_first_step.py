@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from tests.control.baselines.rig import MODEL, PERIOD_S, SAMPLED, SLOW, Axis
+from twostage_servo.control.baselines.compared_law import ComparedLaw
 from twostage_servo.control.baselines.conventional import ConventionalTwoStage
 from twostage_servo.control.baselines.optimal_servo import OptimalServo
 from twostage_servo.control.baselines.pid import Pid
 from twostage_servo.control.baselines.transcription import TranscribedLaw
 from twostage_servo.control.baselines.velocity import Differentiator
-from twostage_servo.control.laws.law import Law
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 
-LAWS: dict[str, Callable[[], Law]] = {
+LAWS: dict[str, Callable[[], ComparedLaw]] = {
     "conventional": lambda: ConventionalTwoStage(SAMPLED, SLOW, Differentiator(PERIOD_S)),
     "optimal servo": lambda: OptimalServo(SLOW, Differentiator(PERIOD_S)),
     "pid": lambda: Pid(SLOW, PERIOD_S),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tests.control.baselines.rig import MODEL, PERIOD_S, QUICK, SAMPLED, SLOW, Axis
 from twostage_servo.control.baselines.conventional import ConventionalTwoStage
 from twostage_servo.control.baselines.velocity import Differentiator, speed_sensor
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import Plant
 

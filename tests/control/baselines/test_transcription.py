@@ -21,7 +21,8 @@ from twostage_servo.control.baselines.transcription import (
     read_gains,
     read_kalman_gain,
 )
-from twostage_servo.control.laws.paper import Stage, TwoStageLaw
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant

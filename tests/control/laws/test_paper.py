@@ -9,7 +9,9 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from twostage_servo.control.laws.paper import Stage, TwoStageLaw, ending_share
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.paper import TwoStageLaw
+from twostage_servo.control.laws.stop import ending_share
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, extended_model, kalman_gain
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant

@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from twostage_servo.control.laws.paper import Stage, TwoStageLaw
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
 from twostage_servo.control.plant import DiscretePlant
@@ -42,17 +43,17 @@ def test_the_stage_that_a_set_point_enters(direction: float, distance: float, ap
 @pytest.mark.parametrize("speed", [3.5, 10.0, 1000.0])
 def test_steps_that_shrink_by_the_rate_of_the_effort_take_the_whole_speed_away(speed: float) -> None:
     """An effort rate of 150/s is 1.5 in a tick, a change of speed by r = 3: ``s + s (s - 3) / 6`` for a step s."""
-    step = law_at(0.0, effort_rate=150.0)._steepest_step(speed)
+    step = law_at(0.0, effort_rate=150.0).stop_stage._steepest_step(speed)
     assert step + step * (step - 3.0) / 6.0 == pytest.approx(speed)
 
 
 @pytest.mark.parametrize("speed", [1e-300, 0.5, 3.0])
 def test_a_speed_that_the_rate_takes_away_in_a_tick_goes_in_one_step(speed: float) -> None:
-    assert law_at(0.0, effort_rate=150.0)._steepest_step(speed) == speed
+    assert law_at(0.0, effort_rate=150.0).stop_stage._steepest_step(speed) == speed
 
 
 def test_without_a_limit_to_the_rate_any_step_will_do() -> None:
-    assert law_at(0.0)._steepest_step(10.0) == math.inf
+    assert law_at(0.0).stop_stage._steepest_step(10.0) == math.inf
 
 
 def test_in_the_position_stage_no_speed_is_asked_for() -> None:

@@ -4,7 +4,8 @@ import math
 
 import pytest
 
-from twostage_servo.control.laws.paper import Stage, TwoStageLaw
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
 from twostage_servo.control.plant import DiscretePlant
@@ -161,7 +162,7 @@ def test_a_gradual_stop_ends_by_the_share_of_the_speed_of_rest(period_s: float, 
     law.stop(1e6, gradual=True)
     law.step(None)
     assert law.speed_reference == pytest.approx(after)
-    law.speed_reference = 4.0
+    law.stop_stage.state.speed_reference = 4.0
     law.observer.velocity = 4.0 - law.effort
     law.step(None)
     assert law.speed_reference == pytest.approx(4.0 - 8.0 * last)

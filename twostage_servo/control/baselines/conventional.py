@@ -3,7 +3,7 @@
 import math
 
 from twostage_servo.control.baselines.velocity import VelocitySource
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.optimal import ServoGains
 from twostage_servo.control.plant import DiscretePlant
 

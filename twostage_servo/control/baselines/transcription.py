@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_are
 
-from twostage_servo.control.laws.paper import Stage
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.observer import KalmanGain, NoiseModel, extended_model, kalman_gain
 from twostage_servo.control.optimal import WEIGHTS, ServoGains, incremental_model, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Triple

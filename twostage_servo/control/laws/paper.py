@@ -9,62 +9,46 @@ It happens at the distance at which the position stage asks for no change of eff
 so the ticks after it continue as smoothly.
 
 A stop is not in the paper. Its two stages would take the change-over distance to come to rest, however steep the ramp:
-the sum has to run off first. So a stop has a stage of its own. The reference ramps down, the model says which effort
-follows it, the observer's disturbance is cancelled, and the velocity error is fed back:
-``u = (w(k+1) - a22 w(k)) / b2 - x3 + f_b (w(k) - x2)``, with w the ramped reference.
-
-The ramp ends gradually: no step takes more than a share of the speed that is left. A plant that answers by 30 % more,
-or with a period of delay more, would otherwise reverse by a whole step of a steep ramp. And the part of the disturbance
-that goes with the speed, such as friction that the model does not have, falls with the speed: an observer that takes it
-for a constant would drive the axis backwards by what it held against that friction.
+the sum has to run off first. So a stop has a stage of its own: :mod:`twostage_servo.control.laws.stop`.
 """
 
-import enum
-from math import copysign, inf, isfinite, isinf, sqrt
+from math import copysign, inf, isfinite
+from typing import NamedTuple
 
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.stop import Stop
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
-from twostage_servo.control.plant import DiscretePlant
-
-BRAKING_SHARE = 0.3
-"""Share of the velocity error that a stop takes away in a period, f_b b2: stable for half to twice the model's gain or
-pole, and with a period of delay more."""
-
-ENDING_SHARE = 0.25
-"""Largest share of its speed that a stop takes away in 10 ms or a period, whichever is longer: what is under way when a
-sample shows that speed does not reverse a plant with 30 % more gain, or with a period of delay more."""
-
-_ENDING_S = 0.01
-"""The time that :data:`ENDING_SHARE` is for, in s."""
-
-REST_TICKS = 3
-"""Periods for which the speed has to be low before a stop is done: one may be the estimate's own noise."""
 
 SPEED_TOLERANCE = 0.1
 """Share of the cruise velocity by which the axis may be too fast to enter the position stage for a new set-point."""
-
-
-def ending_share(period_s: float) -> float:
-    """Return the largest share of its speed that a stop takes away in a period (s); see :data:`ENDING_SHARE`."""
-    kept: float = (1.0 - ENDING_SHARE) ** min(1.0, period_s / _ENDING_S)
-    return 1.0 - kept
-
-
-class Stage(enum.IntEnum):
-    """Which of the two stages makes the effort, or that a stop does."""
-
-    SPEED = 1
-    POSITION = 2
-    BRAKE = 3
-
 
 _POSITION, _BRAKE = Stage.POSITION, Stage.BRAKE
 """Looked up once: a member of an enumeration takes a twentieth of the whole step each time."""
 
 
-def braking_gain(plant: DiscretePlant) -> float:
-    """Return f_b, the effort per velocity error of a stop, in effort unit s/axis unit."""
-    return BRAKING_SHARE / plant.b2
+class Course(NamedTuple):
+    """What the law goes on from beside what it tells.
+
+    Attributes
+    ----------
+    sum
+        I, in effort unit.
+    offset
+        M, in axis unit.
+    ramp
+        Largest step of the speed reference in a period, in axis unit/s.
+    braking
+        Whether the speed stage brings the axis to rest first.
+    direction
+        In which it goes to the set-point, 1 or -1.
+    """
+
+    sum: float
+    offset: float
+    ramp: float
+    braking: bool
+    direction: float
 
 
 class TwoStageLaw:
@@ -102,21 +86,18 @@ class TwoStageLaw:
         Whether the effort limit cut the last effort.
     changeovers
         Number of changes from the speed to the position stage so far.
+    stop_stage
+        The stage that brings the axis to rest.
     sample_age
-        1: :meth:`step` takes the sample of the period before (see :class:`~twostage_servo.control.laws.law.Law`).
+        1: :meth:`step` takes the sample of the period before.
     """
 
     __slots__ = (
-        "_braking", "_braking_gain", "_changeover_time", "_direction", "_ending_share", "_f11", "_f12", "_f22",
-        "_friction", "_largest_step", "_offset", "_ramp", "_ramp_limit", "_rest_velocity", "_smallest_step", "_sum",
-        "_ticks_at_rest", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer", "period_s",
-        "saturated", "speed_reference", "stage", "target",
+        "_braking", "_changeover_time", "_direction", "_f11", "_f12", "_f22", "_largest_step", "_offset", "_ramp",
+        "_ramp_limit", "_sum", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer",
+        "period_s", "saturated", "speed_reference", "stage", "stop_stage", "target",
     )  # fmt: skip
     sample_age = 1
-    _STATE = (
-        "stage", "target", "cruise_velocity", "speed_reference", "effort", "saturated",
-        "_sum", "_offset", "_ramp", "_braking", "_ending_share", "_friction", "_ticks_at_rest", "_direction",
-    )  # fmt: skip
 
     def __init__(
         self,
@@ -133,27 +114,29 @@ class TwoStageLaw:
         self.period_s = period_s
         self.effort_limit = effort_limit
         self._f11, self._f12, self._f22 = gains.f11, gains.f12, gains.f22
-        self._braking_gain = braking_gain(observer.plant)
         self._largest_step = effort_rate_limit * period_s
-        self._rest_velocity = rest_velocity
-        self._smallest_step = ending_share(period_s) * rest_velocity  # or it would never end
+        self.stop_stage = Stop(
+            observer.plant, period_s, effort_rate_limit=effort_rate_limit, rest_velocity=rest_velocity
+        )
         self._changeover_time = gains.changeover_time_s(period_s)
         self._ramp_limit = acceleration_limit * period_s
         self.changeovers = 0
         self.start()
 
-    def start(self) -> None:
-        """Hold the estimated position, beginning with no effort; the observer has been tracking it until now."""
+    def start(self, effort: float = 0.0) -> None:
+        """Hold the estimated position, as if it had given `effort` (effort unit) so far.
+
+        The observer has been tracking the axis until now.
+        """
         position = self.observer.position
         self.stage = Stage.POSITION
         self.target = position
         self.cruise_velocity = self.speed_reference = 0.0
-        self.effort = self._sum = self._friction = 0.0
+        self.effort = self._sum = effort
         self.saturated = self._braking = False
         self._ramp = self._ramp_limit
         self._offset = -position
-        self._ending_share = self._direction = 1.0
-        self._ticks_at_rest = 0
+        self._direction = 1.0
 
     @property
     def velocity(self) -> float:
@@ -205,20 +188,18 @@ class TwoStageLaw:
             By how much the disturbance changes with the speed, in effort unit s/axis unit: what the model's own
             friction lacks, or has too much of. The observer's disturbance holds it at the present speed.
         gradual
-            Whether the ramp ends by :func:`ending_share` of the speed in a period. Where no sample corrects the model,
-            that would only cost distance: what a plant off its model does then, a gradual end does not change.
+            Whether the ramp ends by a share of the speed in a period. Where no sample corrects the model, that would
+            only cost distance: what a plant off its model does then, a gradual end does not change.
         """
         if self.stage is not Stage.BRAKE:
             self.stage = Stage.BRAKE
             self.speed_reference = self.observer.velocity
-            self._ticks_at_rest = 0
-        self._ramp = deceleration * self.period_s
-        self._friction = friction
-        self._ending_share = ending_share(self.period_s) if gradual else 1.0
+            self.stop_stage.begin(self.speed_reference)
+        self.stop_stage.aim(deceleration, friction, gradual=gradual)
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower, as after homing; nothing moves."""
-        self.observer.position += distance
+        self.observer.shift(distance)
         self.target += distance
         self._offset -= distance
 
@@ -239,9 +220,7 @@ class TwoStageLaw:
         if sample is None:
             sample = observer.position
         if self.stage is _BRAKE:
-            before = observer.velocity
-            observer.update(sample, self.effort)
-            observer.disturbance += self._friction * (observer.velocity - before)
+            self.stop_stage.update(observer, sample, self.effort)
             self.effort = self._braking_effort()
             return self.effort
         observer.update(sample, self.effort)
@@ -273,11 +252,27 @@ class TwoStageLaw:
         for _ in range(periods):
             self.observer.predict(self.effort)
 
+    def limit_effort(self, limit: float) -> None:
+        """Keep the magnitude of the effort within a limit (effort unit) from the next step on."""
+        self.effort_limit = limit
+
+    def go_on_at(self, velocity: float, disturbance: float) -> None:
+        """Go on from another estimate: axis unit/s and effort unit; also where a stop by the former one has begun."""
+        self.observer.correct(velocity, disturbance)
+        self.speed_reference = self.stop_stage.state.speed_reference = velocity
+
     def continue_from(self, other: "TwoStageLaw") -> None:
         """Take over the whole state of another law of the same axis, its estimate included."""
         self.observer.continue_from(other.observer)
-        for name in self._STATE:
-            setattr(self, name, getattr(other, name))
+        self.stop_stage.continue_from(other.stop_stage)
+        self.stage, self.effort, self.saturated = other.stage, other.effort, other.saturated
+        self.target, self.cruise_velocity = other.target, other.cruise_velocity
+        self.speed_reference = other.speed_reference
+        self._sum, self._offset, self._ramp, self._braking, self._direction = other.course()
+
+    def course(self) -> Course:
+        """Return what the law goes on from beside what it tells."""
+        return Course(self._sum, self._offset, self._ramp, self._braking, self._direction)
 
     def _limited(self, effort: float) -> float:
         """Hold the effort within its limit and its rate; what is no number stays none, for others to see."""
@@ -294,40 +289,17 @@ class TwoStageLaw:
 
     def _braking_effort(self) -> float:
         """Follow the ramp down; at rest, go over to holding the place."""
-        observer, now, ramp = self.observer, self.speed_reference, self._ramp
-        velocity = observer.velocity
-        self._ticks_at_rest = self._ticks_at_rest + 1 if now == 0.0 and abs(velocity) <= self._rest_velocity else 0
-        if self._ticks_at_rest >= REST_TICKS:
+        observer, stop = self.observer, self.stop_stage
+        if stop.is_over(observer.velocity):
             # Where the position stage would come to rest from here: equation (19) read backwards.
-            self.target = observer.position + self._changeover_time * velocity
+            self.target = observer.position + self._changeover_time * observer.velocity
             # Braking is over: what it took gives way to what holds against the load.
             effort = self._limited(-observer.disturbance)
             self._enter_position_stage(effort)
             return effort
-        plant = observer.plant
-        step = min(ramp, self._steepest_step(abs(now)), max(self._ending_share * abs(now), self._smallest_step))
-        ahead = 0.0 if abs(now) <= step else now - copysign(step, now)
-        wanted = (ahead - plant.a22 * now) / plant.b2 - observer.disturbance + self._braking_gain * (now - velocity)
-        effort = self._limited(wanted)
-        if effort != wanted:
-            # What the limits withhold is not made up for later: the ramp goes on from the speed that will be reached.
-            reached = plant.a22 * velocity + plant.b2 * (effort + observer.disturbance)
-            if abs(reached) > abs(ahead) and reached * now > 0.0:
-                ahead = reached
-        self.speed_reference = ahead
+        effort = stop.step(observer, self._limited)
+        self.speed_reference = stop.state.speed_reference
         return effort
-
-    def _steepest_step(self, speed: float) -> float:
-        """Return the change of speed in a period from which the effort's rate still gets back to no braking at rest.
-
-        If each step is smaller by r than the one before, a step s and all after it take ``s + s (s - r) / 2r`` away.
-        """
-        rate = self._largest_step * abs(self.observer.plant.b2)
-        if isinf(rate):
-            return inf
-        if speed <= rate:  # all of it in one step; the formula says so too, but for what its difference cancels
-            return speed
-        return sqrt(0.25 * rate * rate + 2.0 * rate * speed) - 0.5 * rate
 
     def _speed_stage_ends(self) -> bool:
         """Decide the change-over from the estimate of this very tick."""

@@ -1,0 +1,229 @@
+"""A stop: the speed goes down a ramp, and what it will take is known beforehand.
+
+The reference ramps down, the model says which effort follows it, the observer's disturbance is cancelled, and the
+velocity error is fed back: ``u = (w(k+1) - a22 w(k)) / b2 - x3 + f_b (w(k) - x2)``, with w the ramped reference.
+
+The ramp ends gradually: no step takes more than a share of the speed that is left. A plant that answers by 30 % more,
+or with a period of delay more, would otherwise reverse by a whole step of a steep ramp. And the part of the disturbance
+that goes with the speed, such as friction that the model does not have, falls with the speed: an observer that takes it
+for a constant would drive the axis backwards by what it held against that friction.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import copysign, inf, isinf, sqrt
+
+from twostage_servo.control.laws.law import ControlTask
+from twostage_servo.control.observer import DisturbanceObserver
+from twostage_servo.control.plant import MODEL_ERROR, DiscretePlant
+
+BRAKING_SHARE = 0.3
+"""Share of the velocity error that a stop takes away in a period, f_b b2: stable for half to twice the model's gain or
+pole, and with a period of delay more."""
+
+ENDING_SHARE = 0.25
+"""Largest share of its speed that a stop takes away in 10 ms or a period, whichever is longer: what is under way when a
+sample shows that speed does not reverse a plant with 30 % more gain, or with a period of delay more."""
+
+_ENDING_S = 0.01
+"""The time that :data:`ENDING_SHARE` is for, in s."""
+
+REST_TICKS = 3
+"""Periods for which the speed has to be low before a stop is done: one may be the estimate's own noise."""
+
+
+def ending_share(period_s: float) -> float:
+    """Return the largest share of its speed that a stop takes away in a period (s); see :data:`ENDING_SHARE`."""
+    kept: float = (1.0 - ENDING_SHARE) ** min(1.0, period_s / _ENDING_S)
+    return 1.0 - kept
+
+
+def braking_gain(plant: DiscretePlant) -> float:
+    """Return f_b, the effort per velocity error of a stop, in effort unit s/axis unit."""
+    return BRAKING_SHARE / plant.b2
+
+
+@dataclass(slots=True)
+class StopState:
+    """Where a stop stands.
+
+    Attributes
+    ----------
+    speed_reference
+        The velocity that the ramp asks for now, in axis unit/s.
+    ramp
+        Largest step of the ramp in a period, in axis unit/s.
+    friction
+        By how much the disturbance changes with the speed, in effort unit s/axis unit.
+    ending_share
+        Largest share of the speed that a step takes.
+    ticks_at_rest
+        Periods in a row, up to now, in which the speed was low.
+    """
+
+    speed_reference: float = 0.0
+    ramp: float = 0.0
+    friction: float = 0.0
+    ending_share: float = 1.0
+    ticks_at_rest: int = 0
+
+
+class Stop:
+    """The brake stage of a law.
+
+    Parameters
+    ----------
+    plant
+        The sampled model.
+    period_s
+        T_s in s.
+    effort_rate_limit
+        Largest change of the effort in effort unit/s; infinity for none.
+    rest_velocity
+        Speed in axis unit/s at or below which a stop counts as done.
+
+    Attributes
+    ----------
+    state
+        Where it stands.
+    """
+
+    __slots__ = ("_braking_gain", "_period_s", "_plant", "_rate", "_rest_velocity", "_smallest_step", "state")
+
+    def __init__(
+        self, plant: DiscretePlant, period_s: float, *, effort_rate_limit: float = inf, rest_velocity: float = 0.0
+    ) -> None:
+        self._plant = plant
+        self._period_s = period_s
+        self._braking_gain = braking_gain(plant)
+        self._rate = effort_rate_limit * period_s * abs(plant.b2)  # of the ramp's steps, from one to the next
+        self._rest_velocity = rest_velocity
+        self._smallest_step = ending_share(period_s) * rest_velocity  # or it would never end
+        self.state = StopState()
+
+    def begin(self, velocity: float) -> None:
+        """Begin at an estimated velocity, in axis unit/s."""
+        self.state.speed_reference = velocity
+        self.state.ticks_at_rest = 0
+
+    def aim(self, deceleration: float, friction: float, *, gradual: bool) -> None:
+        """Take the slope of the ramp, the friction and the end, as in :meth:`~.law.Law.stop`; also in mid-stop."""
+        state = self.state
+        state.ramp = deceleration * self._period_s
+        state.friction = friction
+        state.ending_share = ending_share(self._period_s) if gradual else 1.0
+
+    def update(self, observer: DisturbanceObserver, sample: float, effort: float) -> None:
+        """Give the observer a sample (axis unit) and the effort that acted; its friction goes with the speed."""
+        before = observer.velocity
+        observer.update(sample, effort)
+        observer.disturbance += self.state.friction * (observer.velocity - before)
+
+    def is_over(self, velocity: float) -> bool:
+        """Whether the axis has come to rest, by an estimated velocity in axis unit/s; asked once a period."""
+        state = self.state
+        at_rest = state.speed_reference == 0.0 and abs(velocity) <= self._rest_velocity
+        state.ticks_at_rest = state.ticks_at_rest + 1 if at_rest else 0
+        return state.ticks_at_rest >= REST_TICKS
+
+    def step(self, observer: DisturbanceObserver, limited: Callable[[float], float]) -> float:
+        """Follow the ramp down by a period, and return the effort.
+
+        Parameters
+        ----------
+        observer
+            The estimate.
+        limited
+            Returns an effort within the law's limits.
+        """
+        state, plant, velocity = self.state, self._plant, observer.velocity
+        now = state.speed_reference
+        step = min(state.ramp, self._steepest_step(abs(now)), max(state.ending_share * abs(now), self._smallest_step))
+        ahead = 0.0 if abs(now) <= step else now - copysign(step, now)
+        wanted = (ahead - plant.a22 * now) / plant.b2 - observer.disturbance + self._braking_gain * (now - velocity)
+        effort = limited(wanted)
+        if effort != wanted:
+            # What the limits withhold is not made up for later: the ramp goes on from the speed that will be reached.
+            reached = plant.a22 * velocity + plant.b2 * (effort + observer.disturbance)
+            if abs(reached) > abs(ahead) and reached * now > 0.0:
+                ahead = reached
+        state.speed_reference = ahead
+        return effort
+
+    def continue_from(self, other: "Stop") -> None:
+        """Go on as another stop on the same plant."""
+        self.state = replace(other.state)
+
+    def _steepest_step(self, speed: float) -> float:
+        """Return the change of speed in a period from which the effort's rate still gets back to no braking at rest.
+
+        If each step is smaller by r than the one before, a step s and all after it take ``s + s (s - r) / 2r`` away.
+        """
+        rate = self._rate
+        if isinf(rate):
+            return inf
+        if speed <= rate:  # all of it in one step; the formula says so too, but for what its difference cancels
+            return speed
+        return sqrt(0.25 * rate * rate + 2.0 * rate * speed) - 0.5 * rate
+
+
+@dataclass(frozen=True, slots=True)
+class StopDesign:
+    """How far and how long a :class:`Stop` goes.
+
+    Attributes
+    ----------
+    task
+        The plant, its limits and the tick.
+    """
+
+    task: ControlTask
+
+    def distance(self, velocity: float, deceleration: float) -> float:
+        """Return how far the plant of the model goes, in axis unit; as :meth:`~.law.LawDesign.stopping_distance`.
+
+        The ramp's own ``v²/2a``, a tick until the first effort of it acts, the time that the effort rate takes, and the
+        gradual end: where a share s of the speed is less than a step of the ramp, ``a T``, the speed falls by that
+        share in a tick, which takes ``v T (1/s - 1/2)``.
+        """
+        speed, attainable, period_s = abs(velocity), self.attainable(deceleration), self.task.period_s
+        share = ending_share(period_s)
+        ending_speed = min(speed, attainable * period_s / share)
+        ending_s = period_s * (1.0 / share - 0.5) - ending_speed / (2.0 * attainable)
+        steepest = min(attainable, share * speed / period_s)
+        return self._ramp_distance(speed, deceleration, steepest) + ending_speed * ending_s
+
+    def certain_distance(self, velocity: float, deceleration: float) -> float:
+        """Return how far an axis goes at most whose plant is off its model, in axis unit.
+
+        A plant that answers by a share less keeps that share of its speed when the ramp ends, and coasts.
+        """
+        coasting = abs(velocity) / self.task.plant.pole
+        ramp = self._ramp_distance(abs(velocity), deceleration, deceleration)
+        return max(ramp + MODEL_ERROR * coasting, self.distance(velocity, deceleration))
+
+    def ramp_time_s(self, velocity: float, deceleration: float) -> float:
+        """Return how long the ramp takes, with the time for the effort rate, in s."""
+        return abs(velocity) / self.attainable(deceleration) + self.effort_time_s(velocity, deceleration)
+
+    def attainable(self, deceleration: float) -> float:
+        """Return the part of a deceleration (axis unit/s²) that limit and rate of the effort allow.
+
+        Friction helps less and less as the axis slows down, and the effort has to take over at its rate.
+        """
+        plant, task = self.task.plant, self.task
+        return min(
+            deceleration, abs(plant.gain) * task.effort_limit, abs(plant.gain) * task.effort_rate_limit / plant.pole
+        )
+
+    def effort_time_s(self, velocity: float, deceleration: float) -> float:
+        """Return how long the effort rate takes from the effort of a cruise to that of braking, in s."""
+        plant, task = self.task.plant, self.task
+        cruise = abs(velocity * plant.pole / plant.gain)
+        swing = min(abs(deceleration / plant.gain), cruise + task.effort_limit)
+        return swing / task.effort_rate_limit
+
+    def _ramp_distance(self, speed: float, deceleration: float, steepest: float) -> float:
+        """Return the way of a ramp to its sharp end, whose effort is that of a deceleration `steepest`."""
+        delay_s = self.task.period_s + self.effort_time_s(speed, steepest)
+        return speed * delay_s + speed**2 / (2.0 * self.attainable(deceleration))
