@@ -33,7 +33,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.config.loader import load
 from twostage_servo.control.laws.law import Stage
-from twostage_servo.control.margins import closed_loop_poles
+from twostage_servo.control.laws.paper_margins import closed_loop_poles
 
 LINEAR = KINDS[0]
 

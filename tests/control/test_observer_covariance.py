@@ -6,7 +6,7 @@ import pytest
 from numpy.typing import NDArray
 
 from twostage_servo.control.laws.law import Stage
-from twostage_servo.control.margins import closed_loop_poles
+from twostage_servo.control.laws.paper_margins import closed_loop_poles
 from twostage_servo.control.observer import NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import Plant

@@ -8,7 +8,7 @@ from typing import Final
 
 from twostage_servo.control.baselines.transcription import Reading, UnsolvableError
 from twostage_servo.control.laws.law import Stage
-from twostage_servo.control.margins import closed_loop_poles
+from twostage_servo.control.laws.paper_margins import closed_loop_poles
 from twostage_servo.paper.errata import ERRATA, Erratum
 from twostage_servo.paper.examples import EXAMPLE_2, EXAMPLES, MODEL, NOISE, PERIOD_S, VELOCITY, Example
 from twostage_servo.paper.experiment import Run, simulate

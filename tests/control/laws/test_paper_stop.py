@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.laws.paper import TwoStageLaw
+from twostage_servo.control.laws.paper_margins import closed_loop_poles, controller, loop_margins
 from twostage_servo.control.laws.stop import BRAKING_SHARE, braking_gain
-from twostage_servo.control.margins import closed_loop_poles, controller, loop_margins
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant

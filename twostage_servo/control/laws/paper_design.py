@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
 from twostage_servo.control.laws.paper import TwoStageLaw
+from twostage_servo.control.laws.paper_margins import closed_loop_poles, loop_margins
 from twostage_servo.control.laws.stop import StopDesign
-from twostage_servo.control.margins import closed_loop_poles, loop_margins
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant

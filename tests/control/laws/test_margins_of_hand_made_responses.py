@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from twostage_servo.control.laws.law import Stage
-from twostage_servo.control.margins import (
+from twostage_servo.control.laws.paper_margins import (
     Margins,
     _gain_margins,
     _phase_margins,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from twostage_servo.control.laws.law import Stage
-from twostage_servo.control.margins import closed_loop_poles, controller, loop_margins
+from twostage_servo.control.laws.paper_margins import closed_loop_poles, controller, loop_margins
 from twostage_servo.control.observer import KalmanGain, NoiseModel, kalman_gain
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant
