@@ -37,6 +37,8 @@ _DOC: Final = Path("usr/share/doc") / NAME
 _PYTHON: Final = "/usr/bin/python3"
 _SOURCES: Final = ("twostage_servo", "config", "systemd")
 _TOP_FILES: Final = ("pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md")
+_EXTRAS: Final = ("paper", "multicast")
+"""What verbs may need: nobody installs it later on a machine without a network."""
 _MAINTAINER: Final = f"The maintainers of {NAME} <maintainers@{NAME}.invalid>"
 _MANYLINUX: Final = {"manylinux1": (2, 5), "manylinux2010": (2, 12), "manylinux2014": (2, 17)}
 """The oldest C library of the tags that do not say it."""
@@ -187,13 +189,14 @@ class Stage:
         try:
             _run(*pip, "wheel", *where, "--no-deps", "--wheel-dir", str(work), str(source))
             (own,) = work.glob("twostage_servo-*.whl")
-            install = ("install", *where, "--only-binary=:all:", "--no-compile", "--no-warn-script-location", str(own))
-            _run(*pip, "--python", python, *install)
+            install = ("install", *where, "--only-binary=:all:", "--no-compile", "--no-warn-script-location")
+            own_with_extras = f"{own}[{','.join(_EXTRAS)}]"
+            _run(*pip, "--python", python, *install, own_with_extras)
         except BuildError as error:
             if wheels is None:
                 raise
             pip_of = f"{_PYTHON} -m venv /tmp/filling && /tmp/filling/bin/pip"
-            fill = f"{pip_of} wheel --wheel-dir {wheels} {TREE} 'setuptools>=77'"
+            fill = f"{pip_of} wheel --wheel-dir {wheels} '{TREE}[{','.join(_EXTRAS)}]' 'setuptools>=77'"
             text = f"{error}\nIf a wheel is missing in {wheels}, fill it where there is a network:\n  {fill}"
             raise BuildError(text) from error
         self.packages = sorted(distributions(path=[str(self._site())]), key=lambda one: one.name.lower())

@@ -7,6 +7,7 @@ from tempfile import TemporaryDirectory
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
+from twostage_servo.cli.extras import require
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, print_json, print_line
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def _folder(text: str) -> Path:
 def _paper(options: argparse.Namespace) -> ExitCode:
     import logging
 
+    require("paper", "the report of the paper")
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its remarks on its cache are nobody's concern here
     from twostage_servo.paper.claims import check_claims
     from twostage_servo.paper.publication import report_files, results

@@ -5,6 +5,7 @@ import contextlib
 from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_machine
+from twostage_servo.cli.extras import require
 from twostage_servo.cli.output import CommandError, ExitCode, print_json
 from twostage_servo.config.files import find_configuration
 
@@ -75,6 +76,8 @@ def _run_service(options: argparse.Namespace, signals: "EndingSignals") -> ExitC
 def _load_for_processes(options: argparse.Namespace) -> "Machine":
     machine = load_machine(options)
     for loaded in machine.axes:
+        if loaded.config.bus.interface == "udp_multicast":
+            require("multicast", 'a bus with interface = "udp_multicast"')
         if loaded.config.bus.interface == "virtual":
             message = (
                 "the virtual bus exists inside one process only, so service and drive would never meet on it; `demo` "
