@@ -27,7 +27,9 @@ def kernel(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def settings(**values: object) -> RealtimeSettings:
-    return RealtimeSettings.model_validate({"spin": 100.0, "send_at": 300.0, "collect_garbage": "python"} | values)
+    return RealtimeSettings.model_validate(
+        {"busy_wait": 100.0, "output_offset": 300.0, "collect_garbage": "python"} | values
+    )
 
 
 def test_what_was_granted_and_refused_stands_in_the_log_and_in_the_status() -> None:
@@ -35,7 +37,8 @@ def test_what_was_granted_and_refused_stands_in_the_log_and_in_the_status() -> N
         assert world.service.snapshot()["realtime"] is None
         with punctual(world.service, settings()):
             assert world.service.snapshot()["realtime"] == {
-                "spin": 100.0, "margin_us": 100.0, "send_at": 300.0, "send_offset_us": 300.0, "granted": {"cpus": "0"},
+                "busy_wait": 100.0, "margin_us": 100.0, "output_offset": 300.0, "output_offset_us": 300.0,
+                "granted": {"cpus": "0"},
                 "refused": [
                     {
                         "what": "scheduling", "asked": "SCHED_FIFO 40", "why": "the kernel refused it",
@@ -64,9 +67,9 @@ def test_the_loop_gets_the_margin_and_the_offset_that_were_asked_for() -> None:
             assert isinstance(world.service.output_offset, FixedOffset)
             assert world.service.output_offset.offset_s == pytest.approx(300e-6)
             assert world.service.after_tick is None
-        with punctual(world.service, settings(spin="off", send_at="off")):
+        with punctual(world.service, settings(busy_wait="off", output_offset="off")):
             told = world.service.snapshot()["realtime"]
-            assert (told["margin_us"], told["send_offset_us"]) == (0.0, None)
+            assert (told["margin_us"], told["output_offset_us"]) == (0.0, None)
 
     simulate(script)
 

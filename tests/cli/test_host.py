@@ -37,13 +37,14 @@ def test_latency_tells_its_verdict_and_its_numbers(capsys: pytest.CaptureFixture
     assert main(["latency", "--seconds", "3"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("good: no tick missed; 99 % came within 0 µs")
-    for words in ("300 ticks of 10 ms in 3 s", "spin            auto", "% of a core", "wake-up latency p50", "1 µs ██"):
+    for words in ("300 ticks of 10 ms in 3 s", "busy-wait       auto", "% of a core", "wake-up latency p50", "1 µs ██"):
         assert words in text
 
 
 def test_latency_in_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert (
-        main(["latency", "--seconds", "1", "--json", "--set", "realtime.spin=off", "--set", "service.tick_ms=5"]) == 0
+        main(["latency", "--seconds", "1", "--json", "--set", "realtime.busy_wait=off", "--set", "service.tick_ms=5"])
+        == 0
     )
     result = json.loads(capsys.readouterr().out)
     assert result["verdict"] == "good"
@@ -80,8 +81,8 @@ def test_a_duration_that_makes_no_sense_is_bad_usage(seconds: str, capsys: pytes
 
 def test_a_configuration_that_is_wrong_is_bad_usage(capsys: pytest.CaptureFixture[str]) -> None:
     for verb in ("latency", "doctor"):
-        assert main([verb, "--set", "realtime.spin=fast"]) == 2
-        assert "realtime.spin" in capsys.readouterr().err
+        assert main([verb, "--set", "realtime.busy_wait=fast"]) == 2
+        assert "realtime.busy_wait" in capsys.readouterr().err
 
 
 def test_doctor_in_text_and_in_json(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

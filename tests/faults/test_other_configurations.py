@@ -206,7 +206,7 @@ def test_a_fault_in_a_stop_begins_while_the_axis_brakes(phase: Phase) -> None:
 @pytest.mark.parametrize("policy", ["continue", "stop", "quick_stop", "disarm"])
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_the_others_do_what_the_machine_says(policy: str, axis: str) -> None:
-    machine = load_machine(configuration("two_axes"), [f"machine.when_one_trips={policy}"])
+    machine = load_machine(configuration("two_axes"), [f"machine.fault_reaction={policy}"])
     campaign = Campaign(machine, 1, axis)
     for number, phase in ((26, Phase.CRUISING), (2, Phase.HOLDING), (1, Phase.CRUISING), (16, Phase.CRUISING)):
         for cell in cells(campaign, number, phase):

@@ -88,10 +88,10 @@ def test_a_user_without_a_name_is_named_by_number(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"spin": 1000.1}, "from 0 to 1000"),
-        ({"spin": -1}, "from 0 to 1000"),
-        ({"spin": "fast"}, "'off' or 'auto'"),
-        ({"spin": True}, "valid number"),
+        ({"busy_wait": 1000.1}, "from 0 to 1000"),
+        ({"busy_wait": -1}, "from 0 to 1000"),
+        ({"busy_wait": "fast"}, "'off' or 'auto'"),
+        ({"busy_wait": True}, "valid number"),
         ({"priority": 100}, "less than or equal to 99"),
         ({"cpus": [-1]}, "number from 0 on"),
         ({"cpus": [1, 1]}, "named twice"),

@@ -311,7 +311,7 @@ def test_the_other_axes_react(tmp_path: Path, policy: str) -> None:
     path = machine_file(
         tmp_path,
         {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)},
-        f'when_one_trips = "{policy}"\n',
+        f'fault_reaction = "{policy}"\n',
     )
 
     async def script(plant: Plant) -> None:

@@ -94,7 +94,7 @@ def test_that_the_holder_has_gone_is_told_where_it_changes_something(tmp_path: P
 
 def test_an_axis_that_reacts_to_another_is_told_with_both(tmp_path: Path) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
-    path = machine_file(tmp_path, pages, 'when_one_trips = "disarm"\n')
+    path = machine_file(tmp_path, pages, 'fault_reaction = "disarm"\n')
 
     async def script(plant: Plant) -> None:
         await plant.until(lambda: all(plant.axis(name).ready_to_arm for name in "xy"))

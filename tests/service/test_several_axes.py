@@ -245,7 +245,7 @@ def test_arming_all_is_arming_all_or_none(two_on_one_bus: Path) -> None:
 )
 def test_when_one_trips_the_others_do_as_the_machine_says(tmp_path: Path, reaction: str, after: State) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
-    path = machine_file(tmp_path, pages, f'when_one_trips = "{reaction}"\n')
+    path = machine_file(tmp_path, pages, f'fault_reaction = "{reaction}"\n')
 
     async def script(plant: Plant) -> None:
         await plant.armed()
@@ -258,7 +258,7 @@ def test_when_one_trips_the_others_do_as_the_machine_says(tmp_path: Path, reacti
         assert move is not None
         assert move.outcome == ("moving" if reaction == "continue" else "stopped")
         if reaction != "continue":
-            assert move.reason == f"x has tripped (machine.when_one_trips is {reaction})"
+            assert move.reason == f"x has tripped (machine.fault_reaction is {reaction})"
         plant.ask(op="reset")
         assert plant.axis("x").state is State.DISARMED
 
@@ -268,7 +268,7 @@ def test_when_one_trips_the_others_do_as_the_machine_says(tmp_path: Path, reacti
 @pytest.mark.parametrize("state", [State.ARMING, State.HOLDING])
 def test_an_axis_that_is_disarmed_for_another_gets_no_effort_from_that_tick_on(tmp_path: Path, state: State) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
-    path = machine_file(tmp_path, pages, 'when_one_trips = "disarm"\n')
+    path = machine_file(tmp_path, pages, 'fault_reaction = "disarm"\n')
 
     async def script(plant: Plant) -> None:
         axis_loop = plant.service.axis_loop("y")
@@ -299,7 +299,7 @@ def test_an_axis_that_is_being_armed_is_not_armed_when_another_one_trips(
     tmp_path: Path, reaction: str, after: State
 ) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1), "z": axis_page("z", "can0", offset=2)}
-    path = machine_file(tmp_path, pages, f'when_one_trips = "{reaction}"\n')
+    path = machine_file(tmp_path, pages, f'fault_reaction = "{reaction}"\n')
 
     async def script(plant: Plant) -> None:
         await plant.until(lambda: all(plant.axis(name).ready_to_arm for name in "xyz"))
@@ -323,7 +323,7 @@ def test_a_jog_that_is_asked_for_blindly_does_not_go_on_beside_an_axis_that_has_
     tmp_path: Path, reaction: str
 ) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
-    path = machine_file(tmp_path, pages, f'when_one_trips = "{reaction}"\n')
+    path = machine_file(tmp_path, pages, f'fault_reaction = "{reaction}"\n')
 
     async def script(plant: Plant) -> None:
         await plant.armed()
@@ -344,7 +344,7 @@ def test_a_jog_that_is_asked_for_blindly_does_not_go_on_beside_an_axis_that_has_
 
 def test_a_quick_stop_for_another_axis_hardens_a_stop_that_is_under_way(tmp_path: Path) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
-    path = machine_file(tmp_path, pages, 'when_one_trips = "quick_stop"\n')
+    path = machine_file(tmp_path, pages, 'fault_reaction = "quick_stop"\n')
 
     async def script(plant: Plant) -> None:
         await plant.armed()
@@ -377,7 +377,7 @@ def test_a_drive_is_disabled_at_the_end_though_another_ones_command_cannot_be_ma
 
 def test_a_bus_that_fails_trips_the_axes_on_it_and_no_others(tmp_path: Path) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1), "z": axis_page("z", "can1")}
-    path = machine_file(tmp_path, pages, 'when_one_trips = "continue"\n')
+    path = machine_file(tmp_path, pages, 'fault_reaction = "continue"\n')
 
     async def script(plant: Plant) -> None:
         await plant.armed()
@@ -459,7 +459,7 @@ def test_a_reload_takes_all_files_or_none(two_on_one_bus: Path) -> None:
     [
         ({"x": axis_page("x", "can0"), "y": axis_page("x", "can1")}, "", r"y\.toml:\d+: axis\.name.* of this name"),
         ({"x": axis_page("all", "can0")}, "", "'all' means every axis"),
-        ({"x": axis_page("x", "can0")}, 'when_one_trips = "explode"', r"machine\.toml:\d+: machine\.when_one_trips"),
+        ({"x": axis_page("x", "can0")}, 'fault_reaction = "explode"', r"machine\.toml:\d+: machine\.fault_reaction"),
         (
             {"x": axis_page("x", "can0"), "y": axis_page("y", "can0").replace("50.0\n", "60.0\n", 1)},
             "",

@@ -131,7 +131,7 @@ def test_what_all_axes_have_in_common() -> None:
         assert report["lease"] == {"holder": None}
         assert report["ticks"]["count"] == world.service.statistics.count
         assert report["realtime"] is None
-        world.service.host = lambda: {"spin": "off"}
-        assert report_service(world.service)["realtime"] == {"spin": "off"}
+        world.service.host = lambda: {"busy_wait": "off"}
+        assert report_service(world.service)["realtime"] == {"busy_wait": "off"}
 
     simulate(script)

@@ -78,16 +78,16 @@ def test_a_time_that_no_offset_could_make_up_for_teaches_nothing() -> None:
 def test_what_the_setting_asks_for() -> None:
     def asked(**settings: str | float) -> LearnedOffset | FixedOffset | None:
         table = RealtimeSettings.model_validate(settings)
-        offset = output_offset(table.send_at, table.spin, PERIOD_S)
+        offset = output_offset(table.output_offset, table.busy_wait, PERIOD_S)
         assert offset is None or isinstance(offset, LearnedOffset | FixedOffset)
         return offset
 
     assert isinstance(asked(), LearnedOffset)
-    assert asked(send_at="off") is None
-    assert asked(send_at=0.0) is None
-    assert asked(spin="off") is None
-    assert isinstance(asked(spin=100.0), LearnedOffset)
-    fixed = asked(spin="off", send_at=120)
+    assert asked(output_offset="off") is None
+    assert asked(output_offset=0.0) is None
+    assert asked(busy_wait="off") is None
+    assert isinstance(asked(busy_wait=100.0), LearnedOffset)
+    fixed = asked(busy_wait="off", output_offset=120)
     assert isinstance(fixed, FixedOffset)
     fixed.learn(0.1)
     assert fixed.offset_s == pytest.approx(120e-6)

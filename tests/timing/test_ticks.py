@@ -250,7 +250,7 @@ def test_a_clock_that_stands_still_is_waited_for_and_gives_the_same_ticks() -> N
     assert run(main(ToldMargin(300e-6))) == run(main(None))
 
 
-def test_stop_ends_a_wait_with_a_margin_before_it_spins() -> None:
+def test_stop_ends_a_wait_with_a_margin_before_it_waits_busily() -> None:
     async def main() -> tuple[list[Tick], float]:
         loop = asyncio.get_running_loop()
         ticks = Ticks(1.0, margin=ToldMargin(1e-3))
@@ -264,7 +264,7 @@ def test_stop_ends_a_wait_with_a_margin_before_it_spins() -> None:
 
 @pytest.mark.parametrize("way_s", [1e-6, 4e-6, 15e-6])
 def test_a_body_that_takes_a_while_to_begin_begins_at_its_deadline_and_never_before(way_s: float) -> None:
-    """It takes that long from the end of the spin to the body, now and then a millisecond."""
+    """It takes that long from the end of the busy-wait to the body, now and then a millisecond."""
     begun_s: list[float] = []
 
     async def main() -> None:
@@ -304,7 +304,7 @@ def test_the_current_margin_is_told() -> None:
     assert ticks.margin_s == 150e-6
 
 
-def test_the_real_time_loop_spins_until_the_deadline() -> None:
+def test_the_real_time_loop_waits_busily_until_the_deadline() -> None:
     async def main() -> list[Tick]:
         ticks = Ticks(0.001, margin=ToldMargin(100e-6))
         return [await anext(ticks) for _ in range(5)]

@@ -245,7 +245,7 @@ class Bench:
             text = shipped.replace('channel = "can0"', f'channel = "{channel}"\nfd = {fd}')
             text = text.replace('name = "x"', f'name = "{axis}"')
             (CONFIGURATION / f"{axis}.toml").write_text(text)
-        machine = '[machine]\naxes = ["x.toml", "y.toml"]\nwhen_one_trips = "continue"\n'
+        machine = '[machine]\naxes = ["x.toml", "y.toml"]\nfault_reaction = "continue"\n'
         (CONFIGURATION / "servo.toml").write_text(_SERVICE + machine)
         self._drives.parent.mkdir()
         self._drives.write_text(_SERVICE + machine)

@@ -148,7 +148,7 @@ def build_service(
         axis_loop = _build_axis_loop(loaded, machine)
         axis_loops.setdefault((on.interface, on.channel), []).append((loaded, axis_loop))
     buses = [_build_bus(members, bus, opener, machine.service.tick_ms / 1e3) for members in axis_loops.values()]
-    return ServoService(machine.service, buses, machine.when_one_trips)
+    return ServoService(machine.service, buses, machine.fault_reaction)
 
 
 def _build_axis_loop(loaded: LoadedConfig[Config], machine: Machine) -> AxisLoop:
@@ -265,7 +265,7 @@ def prepare_axes(traits: dict[str, DriveTraits], running: Machine, fresh: Machin
     for table in ("service", "realtime"):
         if getattr(fresh, table) != getattr(running, table):
             raise fresh.problem((table,), f"[{table}] {_RESTART}")
-    if (fresh.when_one_trips, now) != (running.when_one_trips, before):
+    if (fresh.fault_reaction, now) != (running.fault_reaction, before):
         raise fresh.problem(("machine",), f"[machine], or the name of an axis, {_RESTART}")
     axes = {
         name: _reread_axis(traits[name], old, new, tick_s)

@@ -31,8 +31,8 @@ def punctual(service: ServoService, settings: RealtimeSettings) -> Iterator[None
             log.warning(grant.warning, what=grant.name, asked=grant.asked, remedy=grant.remedy)
         else:
             log.info("granted", what=grant.name, granted=grant.granted)
-    service.ticks.margin = wake_margin(settings.spin, service.ticks.period_s)
-    service.output_offset = output_offset(settings.send_at, settings.spin, service.ticks.period_s)
+    service.ticks.margin = wake_margin(settings.busy_wait, service.ticks.period_s)
+    service.output_offset = output_offset(settings.output_offset, settings.busy_wait, service.ticks.period_s)
     for axis_loop in service.axis_loops:
         law = axis_loop.axis.design.build_law()
         law.set_target(1.0, 1.0)
@@ -65,10 +65,10 @@ def _report(
     service: ServoService, settings: RealtimeSettings, report: RealtimeReport, garbage: GarbageCollection | None
 ) -> dict[str, Any]:
     return {
-        "spin": settings.spin,
+        "busy_wait": settings.busy_wait,
         "margin_us": round(1e6 * service.ticks.margin_s, 1),
-        "send_at": settings.send_at,
-        "send_offset_us": None if service.output_offset is None else round(1e6 * service.output_offset.offset_s, 1),
+        "output_offset": settings.output_offset,
+        "output_offset_us": None if service.output_offset is None else round(1e6 * service.output_offset.offset_s, 1),
         "granted": {grant.name: grant.granted for grant in report.grants if not grant.warning},
         "refused": [
             {"what": grant.name, "asked": grant.asked, "why": grant.warning, "remedy": grant.remedy}

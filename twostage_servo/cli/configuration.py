@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.cli.output import CommandError, ExitCode, note
 from twostage_servo.config.files import find_configuration
 
 if TYPE_CHECKING:
@@ -54,6 +54,8 @@ def load_configuration(options: argparse.Namespace) -> "LoadedConfig[Config]":
 def load_machine(options: argparse.Namespace) -> "Machine":
     """Load what the options name: the configuration of an axis, or of a machine of several.
 
+    Keys under a former name are told on stderr, with the present one.
+
     Raises
     ------
     CommandError
@@ -62,7 +64,10 @@ def load_machine(options: argparse.Namespace) -> "Machine":
     from twostage_servo.config import machine
 
     with configuration_problems():
-        return machine.load_machine(find_configuration(options.config), options.overrides)
+        loaded = machine.load_machine(find_configuration(options.config), options.overrides)
+    for one in loaded.renamed:
+        note(f"note: {one}")
+    return loaded
 
 
 @contextmanager

@@ -87,7 +87,7 @@ def _latency(options: argparse.Namespace) -> ExitCode:
                 "verdict": verdict.level,
                 "reason": verdict.reason,
                 "busy_processes": hogs,
-                "spin": machine.realtime.spin,
+                "busy_wait": machine.realtime.busy_wait,
                 **measurement.as_json(),
                 "realtime": report.as_json(),
                 "obstacles": [finding.as_json() for finding in obstacles],
@@ -110,7 +110,7 @@ def _measure(machine: "Machine", seconds: float, *, quiet: bool) -> "tuple[Measu
     from twostage_servo.timing.wake_margin import wake_margin
 
     period_s = machine.service.tick_ms / 1e3
-    ticks = Ticks(period_s, margin=MeasuredMargin(wake_margin(machine.realtime.spin, period_s)))
+    ticks = Ticks(period_s, margin=MeasuredMargin(wake_margin(machine.realtime.busy_wait, period_s)))
     report = realtime.apply(machine.realtime)
     for grant in report.warnings:
         note(f"{grant.name}: {grant.warning}")
@@ -158,7 +158,7 @@ def _latency_text(machine: "Machine", measurement: "Measurement", verdict: "Verd
         f"{verdict.level}: {verdict.reason}",
         "",
         f"{count} ticks of {machine.service.tick_ms:g} ms in {elapsed_s:.4g} s, {load}",
-        f"spin            {machine.realtime.spin}, margin {1e6 * measurement.margin_s:.0f} µs at the end",
+        f"busy-wait       {machine.realtime.busy_wait}, margin {1e6 * measurement.margin_s:.0f} µs at the end",
         f"CPU             {100 * measurement.cpu_share:.2f} % of a core",
         f"lateness        {_summary_text(summary_us(measurement.lateness_s))}",
         f"wake-up latency {_summary_text(summary_us(measurement.wake_latency_s))}",

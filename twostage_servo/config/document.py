@@ -2,7 +2,7 @@
 
 import copy
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, NoReturn
 
@@ -13,11 +13,12 @@ from twostage_servo.settings.toml_text import key_text, value_text
 
 
 class Override(NamedTuple):
-    """One ``--set KEY=VALUE``."""
+    """One ``--set KEY=VALUE``; `named` is its path as it was given, `path` the same under present names."""
 
     argument: str
     path: Path
     value: object
+    named: Path
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +73,9 @@ class Document:
         return value
 
 
-def overridden(file: TomlFile, arguments: Sequence[str]) -> tuple[Document, list[Problem]]:
+def overridden(
+    file: TomlFile, arguments: Sequence[str], present: Callable[[tuple[str, ...]], tuple[str, ...]]
+) -> tuple[Document, list[Problem]]:
     """Put arguments over a file.
 
     Parameters
@@ -81,6 +84,8 @@ def overridden(file: TomlFile, arguments: Sequence[str]) -> tuple[Document, list
         The file, which stays as it is.
     arguments
         ``KEY=VALUE``: a dotted key; a value in TOML notation, or a bare word, which is a text.
+    present
+        Gives a path its present name.
 
     Returns
     -------
@@ -92,7 +97,7 @@ def overridden(file: TomlFile, arguments: Sequence[str]) -> tuple[Document, list
     problems: list[Problem] = []
     for argument in arguments:
         try:
-            accepted.append(_apply(data, argument))
+            accepted.append(_apply(data, argument, present))
         except ConfigError as error:
             problems += error.problems
     return Document(file.source, data, file.lines, accepted), problems
@@ -102,7 +107,7 @@ def _refuse(argument: str, message: str, key: str = "") -> NoReturn:
     raise ConfigError([Problem(argument, None, key, None, message)]) from None
 
 
-def _apply(data: dict[str, Any], override: str) -> Override:
+def _apply(data: dict[str, Any], override: str, present: Callable[[tuple[str, ...]], tuple[str, ...]]) -> Override:
     argument = f"--set {override if override.isprintable() else ascii(override)}"
     key, equals, text = (part.strip() for part in override.partition("="))
     if not equals or not key:
@@ -110,9 +115,10 @@ def _apply(data: dict[str, Any], override: str) -> Override:
     if not override.isprintable():
         _refuse(argument, "holds characters that cannot be printed; a value is plain text on one line")
     try:
-        path = split_key(key)
+        named = split_key(key)
     except (ValueError, RecursionError):
         _refuse(argument, "is not a dotted key, such as simulation.gain", key=key)
+    path = present(named)
     value = _override_value(argument, path, text)
     table = data
     for depth, part in enumerate(path[:-1], start=1):
@@ -120,7 +126,7 @@ def _apply(data: dict[str, Any], override: str) -> Override:
         if not isinstance(table, dict):
             _refuse(argument, f"{key_text(path[:depth])} is not a table, it has no keys", key=key_text(path))
     table[path[-1]] = value
-    return Override(argument, path, value)
+    return Override(argument, path, value, named)
 
 
 def _override_value(argument: str, path: Path, text: str) -> object:

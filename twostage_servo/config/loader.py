@@ -3,6 +3,7 @@
 The settings themselves, with units and bounds, are declared in the room that uses them.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,8 +14,9 @@ from pydantic import Field, ValidationError
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.canbus.bus_settings import BusSettings
 from twostage_servo.config.document import Document, overridden
-from twostage_servo.config.errors import ConfigError
+from twostage_servo.config.errors import ConfigError, Problem
 from twostage_servo.config.problems import validation_problems
+from twostage_servo.config.renamed_keys import note_of, present_path, under_present_names
 from twostage_servo.config.toml_file import TomlFile, read_toml
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.host.settings import RealtimeSettings
@@ -48,11 +50,14 @@ class LoadedConfig(Generic[ModelT]):
         The file as it was named; ``demo.toml (built in)`` for the embedded one.
     folder
         Folder of the file, to which the paths in it are relative.
+    renamed
+        What stands there, or among the arguments, under a former name: each with its place and the present name.
     """
 
     config: ModelT
     source: str
     folder: Path
+    renamed: tuple[Problem, ...]
     _document: Document = field(repr=False)
 
     def problem(self, key: Sequence[str | int], message: str) -> ConfigError:
@@ -113,11 +118,13 @@ def validated(model: type[ModelT], file: TomlFile, overrides: Sequence[str] = ()
     ConfigError
         With everything that the settings refuse.
     """
-    document, problems = overridden(file, overrides)
+    present = under_present_names(model, file)
+    document, problems = overridden(present.file, overrides, functools.partial(present_path, model))
     try:
         config = model.model_validate(document.data)
     except ValidationError as error:
         raise ConfigError([*validation_problems(error, document, model), *problems]) from None
     if problems:
         raise ConfigError(problems)
-    return LoadedConfig(config, file.source, file.folder, document)
+    renamed = (*present.notes, *(note_of(one) for one in document.overrides if one.named != one.path))
+    return LoadedConfig(config, file.source, file.folder, renamed, document)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -18,6 +18,9 @@ from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.settings.base import Settings
 
+FaultReaction = Literal["continue", "stop", "quick_stop", "disarm"]
+"""What the other axes of a machine do when one trips."""
+
 _FOR_AN_AXIS = re.compile(r"(\w[\w.-]*):(.*)", re.DOTALL)
 
 
@@ -27,9 +30,10 @@ class MachineSettings(Settings):
     axes: list[str] = Field(
         description="Configuration files of the axes, relative to the folder of this file", min_length=1, max_length=64
     )
-    when_one_trips: Literal["continue", "stop", "quick_stop", "disarm"] = Field(
+    fault_reaction: FaultReaction = Field(
         "stop", description="What the other axes do when one trips: go on, come to rest and hold, or disarm"
     )
+    renamed: ClassVar = {"when_one_trips": "fault_reaction"}
 
     @field_validator("axes")
     @classmethod
@@ -57,8 +61,8 @@ class Machine:
         The file as it was named.
     service, realtime
         Its tables ``[service]`` and ``[realtime]``.
-    when_one_trips
-        What the other axes do.
+    fault_reaction
+        What the other axes do when one trips.
     axes
         The axes' configurations, in their order.
     """
@@ -66,7 +70,7 @@ class Machine:
     source: str
     service: ServiceSettings
     realtime: RealtimeSettings
-    when_one_trips: Literal["continue", "stop", "quick_stop", "disarm"]
+    fault_reaction: FaultReaction
     axes: tuple[LoadedConfig[Config], ...]
     _file: LoadedConfig[Config] | LoadedConfig[MachineConfig] = field(repr=False)
 
@@ -95,6 +99,12 @@ class Machine:
         if self._file is former:
             return Machine.of(changed)
         return replace(self, axes=tuple(changed if loaded is former else loaded for loaded in self.axes))
+
+    @property
+    def renamed(self) -> list[Problem]:
+        """What stands under a former name in any of the files; see :class:`LoadedConfig`."""
+        files = [self._file, *(loaded for loaded in self.axes if loaded is not self._file)]
+        return [one for file in files for one in file.renamed]
 
     def problem(self, key: Sequence[str | int], message: str) -> ConfigError:
         """Make an error of what was noticed only after loading; see :meth:`LoadedConfig.problem`."""
@@ -146,7 +156,7 @@ def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
     if problems:
         raise ConfigError(problems)
     config = machine.config
-    return Machine(machine.source, config.service, config.realtime, settings.when_one_trips, tuple(axes), machine)
+    return Machine(machine.source, config.service, config.realtime, settings.fault_reaction, tuple(axes), machine)
 
 
 def _load_axis(path: Path, for_axes: Sequence[tuple[str, ...]]) -> LoadedConfig[Config]:

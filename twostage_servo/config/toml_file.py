@@ -43,6 +43,12 @@ class TomlFile:
     data: dict[str, Any]
     text: str = field(repr=False)
 
+    def with_keys(self, data: dict[str, Any], lines: dict[toml_lines.Path, int]) -> "TomlFile":
+        """Return the file with other keys, and the line of each."""
+        file = TomlFile(self.source, self.folder, data, self.text)
+        file.__dict__["lines"] = lines  # in place of what the property would find
+        return file
+
     @cached_property
     def lines(self) -> dict[toml_lines.Path, int]:
         """Line of every table, key and list entry."""

@@ -1,4 +1,4 @@
-"""Another axis of the machine: it moves while the fault comes, and does then what `when_one_trips` says."""
+"""Another axis of the machine: it moves while the fault comes, and does then what `fault_reaction` says."""
 
 import contextlib
 from typing import TYPE_CHECKING

@@ -78,7 +78,7 @@ class World:
     ----------
     service, axis_loop, drive, wire, ticks
         The parts, each with its own ways to fail; axis_loop and drive are those of the axis that has the fault.
-    companions, when_one_trips
+    companions, fault_reaction
         The other axes of the machine, and what they do when one trips.
     simulation
         The true drive's settings.
@@ -113,7 +113,7 @@ class World:
         loaded = machine.axis(axis_name)
         bus = _BUS.with_frames_of(loaded.config.bus)
         self.service: ServoService = build_service(machine, bus, lambda _: self.wire.attach(SERVICE))
-        self.when_one_trips = machine.when_one_trips
+        self.fault_reaction = machine.fault_reaction
         self.axis_loop = self.service.axis_loop(axis_name)
         self.simulation = loaded.config.simulation
         self.ticks = HeldTicks(self.service.ticks.period_s)
@@ -255,7 +255,7 @@ class World:
 
         def complaints() -> str:
             tripped = self.axis.trip is not None
-            each = (one.complaint(self.when_one_trips, tripped=tripped, shared=shared) for one in self.companions)
+            each = (one.complaint(self.fault_reaction, tripped=tripped, shared=shared) for one in self.companions)
             return "; ".join(filter(None, each))
 
         if complaints():

@@ -25,7 +25,7 @@ class MeasuredMargin:
     Parameters
     ----------
     margin
-        The margin that is really used; None for no spinning.
+        The margin that is really used; None without a busy-wait.
 
     Attributes
     ----------

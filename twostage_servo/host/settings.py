@@ -1,6 +1,6 @@
 """The table ``[realtime]``: what the service asks of its host."""
 
-from typing import Literal
+from typing import ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -8,19 +8,21 @@ from twostage_servo.settings.base import Settings, quantity
 
 
 class RealtimeSettings(Settings):
-    """Punctual ticks: spinning, scheduling, memory, garbage collection."""
+    """Punctual ticks: busy-wait, scheduling, memory, garbage collection."""
 
-    spin: Literal["off", "auto"] | float = quantity(
+    renamed: ClassVar = {"spin": "busy_wait", "send_at": "output_offset"}
+
+    busy_wait: Literal["off", "auto"] | float = quantity(
         "auto",
         unit="µs",
-        description="How long before a tick to wake up and spin: off, auto (learnt from the host), or up to 1000 µs",
+        description="How long before a tick to wake up and wait busily: off, auto (from the host), or up to 1000 µs",
         union_mode="left_to_right",
     )
-    send_at: Literal["off", "auto"] | float = quantity(
+    output_offset: Literal["off", "auto"] | float = quantity(
         "auto",
         unit="µs",
         description="How long after the deadline of a tick its commands leave, so that their interval is even: "
-        "off (as soon as they are ready), auto (learnt; off if spin is), or up to 1000 µs",
+        "off (as soon as they are ready), auto (learnt; off if busy_wait is), or up to 1000 µs",
         union_mode="left_to_right",
     )
     priority: int = quantity(
@@ -41,7 +43,7 @@ class RealtimeSettings(Settings):
         description="When Python looks for cyclic garbage: in the idle time after a tick, or whenever it likes",
     )
 
-    @field_validator("spin", "send_at")
+    @field_validator("busy_wait", "output_offset")
     @classmethod
     def _is_a_share_of_a_tick(cls, time_us: str | float) -> str | float:
         if not isinstance(time_us, str) and not 0.0 <= time_us <= 1000.0:

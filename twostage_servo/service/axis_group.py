@@ -47,7 +47,7 @@ class AxisGroup:
             axis = other.axis
             if other is tripped or axis.state in LATCHED or axis.state not in ENABLED:
                 continue
-            before, reason = axis.state, f"{tripped.name} has tripped (machine.when_one_trips is {self._reaction})"
+            before, reason = axis.state, f"{tripped.name} has tripped (machine.fault_reaction is {self._reaction})"
             axis.bar_jog()
             if self._reaction == "disarm":
                 axis.disarm(reason)

@@ -19,7 +19,7 @@ from twostage_servo.service.desk import Desk
 from twostage_servo.service.settings import ServiceSettings, with_time_to_stop
 from twostage_servo.service.snapshot import report_service
 from twostage_servo.service.statistics import TickStatistics
-from twostage_servo.timing.ticks import Tick, Ticks, spin
+from twostage_servo.timing.ticks import Tick, Ticks, busy_wait
 
 if TYPE_CHECKING:
     from twostage_servo.timing.output_offset import OutputOffset
@@ -248,7 +248,7 @@ class ServoService:
             return ready_s
         send_s = tick.deadline_s + offset.offset_s
         offset.learn(ready_s - tick.deadline_s)
-        return ready_s if ready_s >= send_s else spin(loop, send_s)
+        return ready_s if ready_s >= send_s else busy_wait(loop, send_s)
 
     def _end_braking(self, ticks_left: int) -> None:
         self._ending_ticks = ticks_left - 1

@@ -1,12 +1,22 @@
 """What all settings have in common: unknown keys are refused, and each number has a unit, bounds and a line of text."""
 
-from typing import Any
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
 
 
 class Settings(BaseModel):
-    """Base of all configuration tables: immutable, strict in types, closed to unknown keys, NaN and infinity."""
+    """Base of all configuration tables: immutable, strict in types, closed to unknown keys, NaN and infinity.
+
+    Attributes
+    ----------
+    renamed
+        Former names of keys of this table, each with its present one: files may have them until 1.0.
+    """
+
+    renamed: ClassVar[Mapping[str, str]] = MappingProxyType({})
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True, hide_input_in_errors=False

@@ -86,22 +86,22 @@ class FixedOffset:
 
 
 def output_offset(
-    send_at: Literal["off", "auto"] | float, spin: Literal["off", "auto"] | float, period_s: float
+    asked: Literal["off", "auto"] | float, busy_wait: Literal["off", "auto"] | float, period_s: float
 ) -> OutputOffset | None:
-    """Return the offset that ``realtime.send_at`` asks for, for a loop that runs in real time.
+    """Return the offset that ``realtime.output_offset`` asks for, for a loop that runs in real time.
 
-    ``"auto"`` without a spin before the tick is none: the ticks are not even then, and who spares the processor that
-    spin does not want another one.
+    ``"auto"`` without a busy-wait before the tick means none: the ticks are uneven then, and whoever saves that
+    processor time does not want to spend it here.
 
     Parameters
     ----------
-    send_at
+    asked
         ``"off"``, ``"auto"``, or the offset in µs.
-    spin
-        What ``realtime.spin`` asks for; see :func:`twostage_servo.timing.wake_margin.wake_margin`.
+    busy_wait
+        What ``realtime.busy_wait`` asks for; see :func:`twostage_servo.timing.wake_margin.wake_margin`.
     period_s
         Period of the ticks, s.
     """
-    if isinstance(send_at, str):
-        return LearnedOffset(period_s) if send_at == "auto" and spin != "off" else None
-    return FixedOffset(1e-6 * send_at, period_s) if send_at > 0.0 else None
+    if isinstance(asked, str):
+        return LearnedOffset(period_s) if asked == "auto" and busy_wait != "off" else None
+    return FixedOffset(1e-6 * asked, period_s) if asked > 0.0 else None

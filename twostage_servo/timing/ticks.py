@@ -10,15 +10,15 @@ from typing import Final, Protocol, Self
 _EARLY_PERIODS = 1e-6
 
 _LEAD_S: Final = 20e-6
-"""By so much the spin of :class:`Ticks` ends early, so that the way from it to the body of the tick, some microseconds,
-is over when the deadline comes; :meth:`Ticks.begin` spins for the rest."""
+"""The busy-wait of :class:`Ticks` ends this much early, since the way from it to the body of the tick takes some
+microseconds; :meth:`Ticks.begin` waits for the rest."""
 
 _STANDING_READS: Final = 1000
 """Equal readings of the clock in a row at which it counts as standing still: a real one moves on with each of them."""
 
 
 class WakeMargin(Protocol):
-    """How long before a deadline the timer is to wake :class:`Ticks`, which then spin until the deadline.
+    """How long before a deadline the timer is to wake :class:`Ticks`, which then wait busily until the deadline.
 
     Only for a loop that runs in real time: in simulated time there is nothing to wait for but the deadline itself.
     """
@@ -67,7 +67,7 @@ class Ticks:
         Loop time of index 0, which is not itself served: the first tick is due one period later. By default the time at
         which the iteration begins. One that lies in the past makes the first tick count what it missed.
     margin : WakeMargin, optional
-        Wake early by this margin and spin until the deadline, which makes a tick more punctual than the host's timers.
+        Wake early by this margin and wait busily until the deadline, which is more punctual than the host's timers.
         None, the default, lets the timer itself serve the deadline; it is the only choice that makes sense in
         simulated time.
 
@@ -116,9 +116,9 @@ class Ticks:
             now_s = loop.time()
         else:
             await self._wait_early(loop, deadline_s, self.margin)
-            spin_end_s = deadline_s - _LEAD_S
-            now_s = spin(loop, spin_end_s)
-            if now_s < spin_end_s:
+            busy_end_s = deadline_s - _LEAD_S
+            now_s = busy_wait(loop, busy_end_s)
+            if now_s < busy_end_s:
                 await self._wait(loop, deadline_s)
                 now_s = loop.time()
         if now_s - deadline_s < 0.5 * self.period_s:  # what is punctual shall begin without more ado
@@ -139,7 +139,7 @@ class Ticks:
         loop = asyncio.get_running_loop()
         now_s = loop.time()
         if self.margin is not None and now_s < tick.deadline_s:
-            now_s = spin(loop, tick.deadline_s)
+            now_s = busy_wait(loop, tick.deadline_s)
         tick.lateness_s = max(0.0, now_s - tick.deadline_s)
         return now_s
 
@@ -179,7 +179,7 @@ def _wake(waiter: "asyncio.Future[None]") -> None:
         waiter.set_result(None)
 
 
-def spin(loop: asyncio.AbstractEventLoop, until_s: float) -> float:
+def busy_wait(loop: asyncio.AbstractEventLoop, until_s: float) -> float:
     """Read the loop's clock until it says so; give its last reading, which is short of that if the clock stands still.
 
     Parameters

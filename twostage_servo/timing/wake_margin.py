@@ -76,16 +76,16 @@ class FixedMargin:
         """Do nothing."""
 
 
-def wake_margin(spin: Literal["off", "auto"] | float, period_s: float) -> WakeMargin | None:
-    """Return the margin that ``realtime.spin`` asks for, for a loop that runs in real time.
+def wake_margin(busy_wait: Literal["off", "auto"] | float, period_s: float) -> WakeMargin | None:
+    """Return the margin that ``realtime.busy_wait`` asks for, for a loop that runs in real time.
 
     Parameters
     ----------
-    spin
+    busy_wait
         ``"off"``, ``"auto"``, or the margin in µs.
     period_s
         Period of the ticks, s.
     """
-    if isinstance(spin, str):
-        return LearnedMargin(period_s) if spin == "auto" else None
-    return FixedMargin(1e-6 * spin, period_s) if spin > 0.0 else None
+    if isinstance(busy_wait, str):
+        return LearnedMargin(period_s) if busy_wait == "auto" else None
+    return FixedMargin(1e-6 * busy_wait, period_s) if busy_wait > 0.0 else None
