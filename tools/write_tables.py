@@ -1,4 +1,4 @@
-"""Write the tables in the docs that come from the code: errata, states, trips, and the fault matrices.
+"""Write what in the docs comes from the code: errata, states, trips, the JSON schemas, and the fault matrices.
 
 ``python -m tools.write_tables`` after a change of what they say; with ``--faults`` the fault campaign on each shipped
 configuration as well, which takes some minutes. ``--check`` writes nothing, and fails if a table is not what the code
@@ -7,10 +7,12 @@ one cell in twelve: the text, such as the hash of a commit, decides on which.
 """
 
 import argparse
+import json
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from twostage_servo.api.schema import schema_of_requests, schema_of_status
 from twostage_servo.axis.state import transition_table
 from twostage_servo.axis.trips import trip_table
 from twostage_servo.paper.errata import errata_table
@@ -22,6 +24,12 @@ TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "trips": ("states.md", trip_table),
 }
 """Name of the marked place, its page, and what makes the table."""
+
+SCHEMAS: dict[str, Callable[[], dict[str, object]]] = {
+    "requests.schema.json": schema_of_requests,
+    "status.schema.json": schema_of_status,
+}
+"""Files of their own in the docs: what crosses the control socket."""
 
 _CONFIGURATIONS = Path(__file__).parents[1] / "config"
 
@@ -54,6 +62,14 @@ def main() -> int:
         if fresh == page:
             continue
         different.append(f"docs/{file}: {name}")
+        if not options.check:
+            path.write_text(fresh, "utf-8")
+    for file, schema in SCHEMAS.items():
+        path = _DOCS / file
+        fresh = json.dumps(schema(), indent=1) + "\n"
+        if path.exists() and path.read_text("utf-8") == fresh:
+            continue
+        different.append(f"docs/{file}")
         if not options.check:
             path.write_text(fresh, "utf-8")
     if options.faults:

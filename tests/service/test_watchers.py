@@ -13,6 +13,7 @@ import pytest
 from tests.service.operators import Operator, connect, serve
 from tests.service.rig import World
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
+from twostage_servo.api.status import AxisReport
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.background_server import Priority
 from twostage_servo.service.control_socket import ControlSocket
@@ -38,7 +39,7 @@ class Work:
         self._in_tick = False
         report, publish = AxisLoop.report, plant.service.publish
 
-        def counted(axis_loop: AxisLoop) -> dict[str, Any]:
+        def counted(axis_loop: AxisLoop) -> AxisReport:
             self.made += 1
             self.within_ticks += self._in_tick
             return report(axis_loop)

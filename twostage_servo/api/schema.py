@@ -1,11 +1,18 @@
-"""The JSON schema of what crosses the control socket, made from the requests themselves."""
+"""The JSON schema of what crosses the control socket, made from the requests and the status themselves."""
 
-from typing import Final
+import dataclasses
+import enum
+import types
+import typing
+from typing import Any, Final
 
 from twostage_servo.api.fields import JsonObject, kinds_of, required_of
+from twostage_servo.api.records import JsonRecord
 from twostage_servo.api.requests import OPERATIONS, Request
+from twostage_servo.api.status import AxisReport, ServiceStatus
 
 DIALECT: Final = "https://json-schema.org/draft/2020-12/schema"
+_PLAIN: Final = {bool: "boolean", int: "integer", float: "number", str: "string"}
 
 
 def schema_of_request(request: type[Request]) -> JsonObject:
@@ -13,7 +20,7 @@ def schema_of_request(request: type[Request]) -> JsonObject:
     properties = {name: kind.schema() for name, kind in kinds_of(request).items()}
     return {
         "title": request.op,
-        "description": (request.__doc__ or "").strip(),
+        "description": _text(request),
         "type": "object",
         "properties": {"op": {"const": request.op}, **properties},
         "required": ["op", *required_of(request)],
@@ -24,3 +31,55 @@ def schema_of_request(request: type[Request]) -> JsonObject:
 def schema_of_requests() -> JsonObject:
     """Return the schema of all requests: each line is exactly one of them."""
     return {"$schema": DIALECT, "oneOf": [schema_of_request(request) for request in OPERATIONS.values()]}
+
+
+def schema_of_status() -> JsonObject:
+    """Return the schema of what `status` answers, and of each snapshot: of one axis, or of several."""
+    definitions: JsonObject = {}
+    common, axis = (_schema_of(kind, definitions) for kind in (ServiceStatus, AxisReport))
+    several = {
+        "type": "object",
+        "properties": {"axes": {"type": "object", "additionalProperties": axis}},
+        "required": ["axes"],
+    }
+    return {"$schema": DIALECT, "allOf": [common], "oneOf": [axis, several], "$defs": definitions}
+
+
+def _schema_of(hint: Any, definitions: JsonObject) -> JsonObject:
+    """Return the schema of a type; that of a record goes among the definitions."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin in {types.UnionType, typing.Union}:
+        return {"anyOf": [_schema_of(one, definitions) for one in arguments]}
+    if origin is dict:
+        return {"type": "object", "additionalProperties": _schema_of(arguments[1], definitions)}
+    if origin is not None:  # a list or a tuple
+        return {"type": "array", "items": _schema_of(arguments[0], definitions)}
+    return {"type": "null"} if hint is types.NoneType else _schema_of_one(hint, definitions)
+
+
+def _schema_of_one(kind: type[Any], definitions: JsonObject) -> JsonObject:
+    if kind in _PLAIN:
+        return {"type": _PLAIN[kind]}
+    if kind.__name__ not in definitions:
+        definitions[kind.__name__] = (
+            {"enum": [one.value for one in kind]}
+            if issubclass(kind, enum.Enum)
+            else _schema_of_record(kind, definitions)
+        )
+    return {"$ref": f"#/$defs/{kind.__name__}"}
+
+
+def _schema_of_record(record: type[JsonRecord], definitions: JsonObject) -> JsonObject:
+    hints = typing.get_type_hints(record)
+    names = [field.name for field in dataclasses.fields(record)]  # type: ignore[arg-type]
+    return {
+        "description": _text(record),
+        "type": "object",
+        "properties": {name: _schema_of(hints[name], definitions) for name in names},
+        "required": names,
+    }
+
+
+def _text(described: type[Any]) -> str:
+    """Return what a docstring says before its sections."""
+    return " ".join((described.__doc__ or "").partition("Attributes")[0].split())

@@ -2,10 +2,10 @@
 
 import contextlib
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import structlog
 
+from twostage_servo.api.status import GarbageStatus, RealtimeStatus, Refusal
 from twostage_servo.axis.state import DRIVEN
 from twostage_servo.host import realtime
 from twostage_servo.host.garbage import GarbageCollection
@@ -63,22 +63,22 @@ def _collector(service: ServoService, garbage: GarbageCollection) -> Callable[[T
 
 def _report(
     service: ServoService, settings: RealtimeSettings, report: RealtimeReport, garbage: GarbageCollection | None
-) -> dict[str, Any]:
-    return {
-        "busy_wait": settings.busy_wait,
-        "margin_us": round(1e6 * service.ticks.margin_s, 1),
-        "output_offset": settings.output_offset,
-        "output_offset_us": None if service.output_offset is None else round(1e6 * service.output_offset.offset_s, 1),
-        "granted": {grant.name: grant.granted for grant in report.grants if not grant.warning},
-        "refused": [
-            {"what": grant.name, "asked": grant.asked, "why": grant.warning, "remedy": grant.remedy}
+) -> RealtimeStatus:
+    return RealtimeStatus(
+        busy_wait=settings.busy_wait,
+        margin_us=round(1e6 * service.ticks.margin_s, 1),
+        output_offset=settings.output_offset,
+        output_offset_us=None if service.output_offset is None else round(1e6 * service.output_offset.offset_s, 1),
+        granted={grant.name: grant.granted for grant in report.grants if not grant.warning},
+        refused=[
+            Refusal(what=grant.name, asked=grant.asked, why=grant.warning, remedy=grant.remedy)
             for grant in report.warnings
         ],
-        "garbage": None
+        garbage=None
         if garbage is None
-        else {
-            "collections": garbage.collections,
-            "postponed": garbage.postponed,
-            "longest_us": round(1e6 * garbage.longest_s, 1),
-        },
-    }
+        else GarbageStatus(
+            collections=garbage.collections,
+            postponed=garbage.postponed,
+            longest_us=round(1e6 * garbage.longest_s, 1),
+        ),
+    )

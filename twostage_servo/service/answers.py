@@ -4,17 +4,20 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
+from twostage_servo.api.records import JsonRecord
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.printable import ready_for_json
 
 _RECORDS_A_PIECE: Final = 50
+_ENCODER: Final = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":"), default=vars)
+"""Writes a record as an object of its fields, without an object in between."""
 
 Answer = dict[str, Any]
 
 
-def encode(answer: Mapping[str, Any]) -> bytes:
+def encode(answer: Mapping[str, Any] | JsonRecord) -> bytes:
     """Return an answer as a JSON line; NaN and infinity never leave."""
-    return json.dumps(answer, allow_nan=False, separators=(",", ":")).encode() + b"\n"
+    return _ENCODER.encode(answer).encode() + b"\n"
 
 
 def failure(code: RefusalCode, message: str) -> bytes:

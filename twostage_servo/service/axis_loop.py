@@ -1,11 +1,12 @@
 """An axis as the service runs it: with its drive's frames, its place on a bus, its recording and its reporter."""
 
 import asyncio
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import can
 import structlog
 
+from twostage_servo.api.status import AxisReport
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import NO_EFFORT, Command
 from twostage_servo.axis.state import ENABLED
@@ -149,8 +150,8 @@ class AxisLoop:
             )
         return watch.seen_enabled
 
-    def report(self) -> dict[str, Any]:
-        """Return the state of the axis and its bus, ready for JSON."""
+    def report(self) -> AxisReport:
+        """Return the state of the axis and its bus."""
         return report_axis(self)
 
     def _prepared(self, command: Command) -> can.Message:

@@ -39,7 +39,7 @@ class EventLog:
     def __init__(self, axis_loop: "AxisLoop") -> None:
         self.trip_files: TripFiles | None = None
         self.trip_file = TripFile()
-        self.snapshot: Callable[[], dict[str, Any]] = axis_loop.report
+        self.snapshot: Callable[[], dict[str, Any]] = lambda: axis_loop.report().to_json()
         self._axis_loop = axis_loop
         self._log = structlog.get_logger().bind(axis=axis_loop.name)
         self._state = axis_loop.axis.state

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import structlog
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.requests import Request
+from twostage_servo.api.status import RealtimeStatus, Status
 from twostage_servo.axis.state import BRAKING, ENABLED
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.service.axis_group import AxisGroup, GroupReaction
@@ -84,7 +86,7 @@ class ServoService:
         self.publishers: list[Publisher] = []
         self.after_tick: Callable[[Tick, float], None] | None = None
         self.output_offset: OutputOffset | None = None
-        self.host: Callable[[], dict[str, Any]] | None = None
+        self.host: Callable[[], RealtimeStatus] | None = None
         self.failure: Exception | None = None
         self.failed_tick: int | None = None
         self.not_disabled: list[str] = []
@@ -210,22 +212,20 @@ class ServoService:
         """Carry out a request of a client; see :meth:`Desk.handle`."""
         return self.desk.handle(request, client)
 
-    def snapshot(self, name: str | None = None, common: dict[str, Any] | None = None) -> dict[str, Any]:
-        """Return the state of service and axes, ready for JSON.
-
-        The reports of the axes stand under ``axes``, by their names; that of the only axis, or of the one that is
-        named, stands beside what all have in common. That may be given, from :func:`report_service`, by whoever asks
-        for several axes in one tick.
+    def status(self, name: str | None = None) -> Status:
+        """Return the state of the service and of all axes, or of the one that is named.
 
         Raises
         ------
         KeyError
             If no axis has this name.
         """
-        common = report_service(self) if common is None else common
-        if name is None and len(self.axis_loops) > 1:
-            return common | {"axes": {axis_loop.name: axis_loop.report() for axis_loop in self.axis_loops}}
-        return common | self.axis_loop(name).report()
+        axis_loops = self.axis_loops if name is None else [self.axis_loop(name)]
+        return Status(report_service(self), {axis_loop.name: axis_loop.report() for axis_loop in axis_loops})
+
+    def snapshot(self, name: str | None = None) -> JsonObject:
+        """Return the same ready for JSON; see :meth:`Status.to_json`."""
+        return self.status(name).to_json()
 
     def axis_loop(self, name: str | None = None) -> AxisLoop:
         """Return the axis of a name; without one, the only axis.

@@ -1,5 +1,6 @@
 """Tick statistics in constant memory."""
 
+from twostage_servo.api.status import HistogramBin, TickStatus, Times
 from twostage_servo.timing.histogram import TimeHistogram
 
 PHASES = ("read", "update", "hold", "write", "publish")
@@ -37,14 +38,20 @@ class TickStatistics:
             histogram.add(ended_s - begun_s)
         self.duration["whole"].add(times_s[-1] - times_s[0])
 
-    def summary(self) -> dict[str, object]:
-        """Return all of it, ready for JSON; times in µs."""
-        return {
-            "count": self.count,
-            "missed": self.missed,
-            "lateness_us": self.lateness.summary(),
-            "lateness_histogram": [
-                {"up_to_us": edge_us, "ticks": ticks} for edge_us, ticks in self.lateness.histogram()
+    def summary(self) -> TickStatus:
+        """Return all of it."""
+        return TickStatus(
+            count=self.count,
+            missed=self.missed,
+            lateness_us=times_of(self.lateness),
+            lateness_histogram=[
+                HistogramBin(up_to_us=edge_us, ticks=ticks) for edge_us, ticks in self.lateness.histogram()
             ],
-            "duration_us": {name: histogram.summary() for name, histogram in self.duration.items()},
-        }
+            duration_us={name: times_of(histogram) for name, histogram in self.duration.items()},
+        )
+
+
+def times_of(histogram: TimeHistogram) -> Times:
+    """Return the percentiles of a histogram that are told, in µs."""
+    p50, p90, p99 = histogram.percentiles_us(50.0, 90.0, 99.0)
+    return Times(p50=round(p50, 1), p90=round(p90, 1), p99=round(p99, 1), max=round(histogram.largest_us, 1))

@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from twostage_servo.api.records import JsonRecord
 from twostage_servo.service.answers import encode
 from twostage_servo.service.snapshot import report_service
 
@@ -74,6 +75,6 @@ class StatusLines:
         return part
 
 
-def _inside(report: dict[str, object]) -> bytes:
+def _inside(report: JsonRecord) -> bytes:
     """Return the fields of an object without its braces."""
     return encode(report)[1:-2]

@@ -12,6 +12,8 @@ _MERGED = 4
 _COARSE_EDGES = range(_MERGED, _BINS_PER_DECADE * _DECADES + 1, _MERGED)
 _EDGES_US = {index: float(f"{_LOWEST_US * 10.0 ** (index / _BINS_PER_DECADE):.3g}") for index in (0, *_COARSE_EDGES)}
 
+_UPPER_EDGES_US = [_LOWEST_US * 10.0 ** (index / _BINS_PER_DECADE) for index in range(_BINS_PER_DECADE * _DECADES + 1)]
+
 
 class TimeHistogram:
     """Histogram of times with logarithmic bins from 0.1 µs to 10 s: 40 a decade, so a percentile is within 6 %."""
@@ -34,14 +36,22 @@ class TimeHistogram:
         bin_index = math.ceil(_BINS_PER_DECADE * math.log10(time_us / _LOWEST_US))
         self._bins[min(bin_index, len(self._bins) - 1)] += 1
 
+    @property
+    def _used(self) -> int:
+        """The number of bins up to that of the longest time; those above are empty."""
+        if self.largest_us <= _LOWEST_US:
+            return 1
+        return min(math.ceil(_BINS_PER_DECADE * math.log10(self.largest_us / _LOWEST_US)) + 1, len(self._bins))
+
     def percentiles_us(self, *percents: float) -> list[float]:
         """Return the upper edge in µs of the bin that holds each percentile; 0 where nothing was counted or lasted."""
-        seen = list(itertools.accumulate(self._bins))
-        edges = [bisect_left(seen, max(1.0, percent / 100.0 * self.count)) for percent in percents]
-        return [
-            min(self.largest_us, _LOWEST_US * 10.0 ** (index / _BINS_PER_DECADE)) if 0 < index < len(seen) else 0.0
-            for index in edges
-        ]
+        seen = list(itertools.accumulate(self._bins[: self._used]))
+        count, largest_us, bins = self.count, self.largest_us, len(seen)
+        edges = []
+        for percent in percents:
+            index = bisect_left(seen, max(1.0, percent / 100.0 * count))
+            edges.append(min(largest_us, _UPPER_EDGES_US[index]) if 0 < index < bins else 0.0)
+        return edges
 
     def summary(self) -> dict[str, float]:
         """Return p50, p90, p99 and max, in µs."""
@@ -52,5 +62,6 @@ class TimeHistogram:
         """Return upper edge in µs and count of the bins that are not empty, 10 a decade: for a client to draw."""
         bins = self._bins
         merged = [(0, bins[0])]
-        merged += [(index, sum(bins[index - _MERGED + 1 : index + 1])) for index in _COARSE_EDGES]
+        used = _COARSE_EDGES[: math.ceil((self._used - 1) / _MERGED)]
+        merged += [(index, sum(bins[index - _MERGED + 1 : index + 1])) for index in used]
         return [(_EDGES_US[index], count) for index, count in merged if count]
