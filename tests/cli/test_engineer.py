@@ -185,3 +185,24 @@ def test_check_says_how_long_a_service_manager_has_to_wait(
     assert json.loads(capsys.readouterr().out)["longest_end_s"] == asked_s
     assert main(arguments) == 0
     assert (f"may take {asked_s:.3g} s to end" in capsys.readouterr().out) is (asked_s > 15.0)
+
+
+@pytest.mark.parametrize(("name", "begins"), [("loops.png", b"\x89PNG\r\n"), ("loops.svg", b"<?xml")])
+def test_the_loops_are_drawn_by_the_files_ending(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, begins: bytes
+) -> None:
+    assert main(["design", "--plot", str(tmp_path / name), "--json"]) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)["stages"]["position"]["gain_margin"] == pytest.approx(11.92, abs=0.01)
+    assert f"drawn to {tmp_path / name}" in captured.err
+    assert (tmp_path / name).read_bytes().startswith(begins)
+
+
+def test_a_plot_of_an_unknown_kind_or_in_no_folder_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["design", "--plot", str(tmp_path / "loops.pdf")]) == 2
+    assert "has to end in .png or .svg" in capsys.readouterr().err
+    assert main(["design", "--plot", str(tmp_path / "none" / "loops.png")]) == 3
+    assert "the plot cannot be written" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

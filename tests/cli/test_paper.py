@@ -32,7 +32,7 @@ FIGURES = {
     "final_error",
 }
 PICTURES = {
-    "fig2a", "fig2b", "fig3a", "fig3b", "fig3c", "printed_speed_stage", "disturbance", "set_points", "phase",
+    "fig2a", "fig2b", "fig3a", "fig3b", "fig3c", "printed_speed_stage", "disturbance", "set_points", "phase", "loops",
 }  # fmt: skip
 VOID = {"meta", "img", "br", "link", "hr", "input"}
 

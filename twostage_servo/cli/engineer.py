@@ -2,21 +2,24 @@
 
 import argparse
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration, load_machine
-from twostage_servo.cli.output import CommandError, ExitCode, print_json, print_line
+from twostage_servo.cli.output import CommandError, ExitCode, note, print_json, print_line
 from twostage_servo.cli.typed_numbers import decimal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
 
     from twostage_servo.axis.design import AxisDesign
     from twostage_servo.config.errors import ConfigError
     from twostage_servo.config.loader import Config, LoadedConfig
     from twostage_servo.config.machine import Machine
+    from twostage_servo.control.laws.law import Loop
     from twostage_servo.service.axis_loop import AxisLoop
 
+_PLOTS = (".png", ".svg")
 _UNIT_WAITS_S = 15.0
 """TimeoutStopSec= of the unit that comes with the program."""
 
@@ -41,12 +44,16 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     design.add_argument(
         "--velocity", type=decimal, help="velocity for the change-over distance (default: the cruise velocity)"
     )
+    design.add_argument(
+        "--plot",
+        type=Path,
+        metavar="FILE",
+        help="draw the Nyquist plot of each stage's loop and its answer to a step, as PNG or SVG by the file's ending",
+    )
     design.set_defaults(run=_design)
 
 
 def _check(options: argparse.Namespace) -> ExitCode:
-    from pathlib import Path
-
     from twostage_servo.app.assembly import build_service
     from twostage_servo.config.loader import Config
     from twostage_servo.config.machine import MachineConfig
@@ -192,6 +199,9 @@ def _explain(row: Any) -> str:
 def _design(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.app.assembly import design
 
+    if options.plot is not None and options.plot.suffix not in _PLOTS:
+        text = f"--plot {options.plot}: the name has to end in {' or '.join(_PLOTS)}"
+        raise CommandError(ExitCode.USAGE, "usage", text)
     loaded = load_configuration(options)
     with configuration_problems():
         axis_design = design(loaded)
@@ -200,7 +210,10 @@ def _design(options: argparse.Namespace) -> ExitCode:
     if not 0.0 < velocity <= axis.limits.velocity:
         text = f"--velocity {velocity:g}: it must be greater than 0 and at most {axis.limits.velocity:g} {axis.unit}/s"
         raise CommandError(ExitCode.USAGE, "velocity_limit", text)
-    report = _report(axis_design, velocity)
+    loops = axis_design.law.loops()
+    report = _report(axis_design, velocity, loops)
+    if options.plot is not None:
+        _plot(options.plot, axis_design, loops, loaded.source)
     if options.json:
         print_json(report)
     else:
@@ -208,18 +221,23 @@ def _design(options: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE
 
 
-def _report(design: "AxisDesign", velocity: float) -> dict[str, Any]:
-    stages = {
-        name: {
-            "gain_margin": _finite(loop.gain_margin),
-            "gain_reduction_margin": loop.gain_reduction_margin,
-            "phase_margin_deg": _finite(loop.phase_margin_deg),
-            "delay_margin_ms": _finite(1e3 * loop.delay_margin_s),
-            "modulus_margin": loop.modulus_margin,
-            "poles": [[pole.real, pole.imag] for pole in loop.poles],
-        }
-        for name, loop in design.law.loops().items()
-    }
+def _plot(path: Path, design: "AxisDesign", loops: "Mapping[str, Loop]", source: str) -> None:
+    from twostage_servo.control.loop_analysis import LoopAnalysis
+    from twostage_servo.control.loop_plots import loops_figure
+
+    known = {f"{name} stage": loop.controller for name, loop in loops.items() if loop.controller is not None}
+    if not known:
+        raise CommandError(ExitCode.FAILED, "plot", "the law of this axis does not tell its loops: nothing to draw")
+    analyses = {name: LoopAnalysis(design.plant, controller) for name, controller in known.items()}
+    figure = loops_figure(analyses, f"Axis {design.settings.name} of {source}, a tick of {1e3 * design.period_s:g} ms")
+    try:
+        figure.savefig(path)
+    except OSError as error:
+        raise CommandError(ExitCode.FAILED, "plot", f"the plot cannot be written: {path}: {error.strerror}") from error
+    note(f"drawn to {path}")
+
+
+def _report(design: "AxisDesign", velocity: float, loops: "Mapping[str, Loop]") -> dict[str, Any]:
     return {
         "period_ms": 1e3 * design.period_s,
         "plant": {name: getattr(design.plant, name) for name in ("a12", "a22", "b1", "b2")},
@@ -227,7 +245,22 @@ def _report(design: "AxisDesign", velocity: float) -> dict[str, Any]:
         "velocity": velocity,
         "changeover_distance": design.changeover_distance(velocity),
         "kalman_gain": {"predictor": design.kalman.predictor, "current": design.kalman.current},
-        "stages": stages,
+        "stages": {name: _stage(design, loop) for name, loop in loops.items()},
+    }
+
+
+def _stage(design: "AxisDesign", loop: "Loop") -> dict[str, Any]:
+    """Return the margins of a loop by python-control; those that the law says where it tells no more of itself."""
+    from twostage_servo.control.loop_analysis import LoopAnalysis
+
+    margins = loop if loop.controller is None else LoopAnalysis(design.plant, loop.controller).margins()
+    return {
+        "gain_margin": _finite(margins.gain_margin),
+        "gain_reduction_margin": margins.gain_reduction_margin,
+        "phase_margin_deg": _finite(margins.phase_margin_deg),
+        "delay_margin_ms": _finite(1e3 * margins.delay_margin_s),
+        "modulus_margin": margins.modulus_margin,
+        "poles": [[pole.real, pole.imag] for pole in loop.poles],
     }
 
 

@@ -10,8 +10,10 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from twostage_servo.control.loop_plots import nyquist_plot, step_plot
 from twostage_servo.paper.examples import EXAMPLES, SET_POINT, VELOCITY
 from twostage_servo.paper.experiment import Run
+from twostage_servo.paper.loops import loops_of
 from twostage_servo.paper.methods import CONVENTIONAL, METHODS
 from twostage_servo.paper.studies import LOAD, Comparison, Curve
 
@@ -156,6 +158,19 @@ def phase_dependence(curves: Sequence[tuple[Curve, Curve]]) -> Picture:
     axes.legend(loc="lower right", fontsize=8)
     return _picture(
         figure, "phase", "Overshoot against where within a tick the change-over falls: gone with the exact hand-over"
+    )
+
+
+def loops() -> Picture:
+    """Draw the loops of both examples around -1, and how they answer a step."""
+    figure = Figure(figsize=(9.0, 8.4), layout="constrained")
+    for row, example in zip(figure.subplots(2, 2), EXAMPLES, strict=True):
+        analyses = loops_of(example)
+        nyquist_plot(row[0], analyses)
+        step_plot(row[1], analyses)
+        row[0].set_title(example.short_title, fontsize=10)
+    return _picture(
+        figure, "loops", "Nyquist plots of the proposed law's loops, and their answers to a step, on the driven plants"
     )
 
 

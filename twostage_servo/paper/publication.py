@@ -13,6 +13,7 @@ from twostage_servo.paper.claims import Claim
 from twostage_servo.paper.examples import EXAMPLES
 from twostage_servo.paper.experiment import SEED
 from twostage_servo.paper.frames import FramesComparison
+from twostage_servo.paper.loops import margins_json
 from twostage_servo.paper.report import render
 from twostage_servo.paper.studies import LOAD, Comparison, Curve, Studies, steady_error
 
@@ -29,6 +30,7 @@ def results(studies: Studies, claims: Sequence[Claim], frames: Mapping[str, Fram
             }
             for example in EXAMPLES
         },
+        "margins": {example.name: margins_json(example) for example in EXAMPLES},
         **{pair.example.name: _scores(pair) for pair in studies.comparisons},
         "constant_load": {
             "load": LOAD,
@@ -97,6 +99,7 @@ def _draw(studies: Studies) -> list[plots.Picture]:
             plots.disturbance(studies.under_load),
             plots.set_point_dependence(studies.by_set_point),
             plots.phase_dependence(studies.by_phase),
+            plots.loops(),
         ]
 
 

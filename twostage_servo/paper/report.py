@@ -18,6 +18,7 @@ from twostage_servo.paper.errata import ERRATA
 from twostage_servo.paper.examples import EXAMPLES, PERIOD_S, SET_POINT, VELOCITY
 from twostage_servo.paper.experiment import DIVERGED, DURATION_S, SEED
 from twostage_servo.paper.frames import EXTRA_DELAY_MS, FramesComparison
+from twostage_servo.paper.loops import margins_of
 from twostage_servo.paper.methods import CONVENTIONAL, METHODS
 from twostage_servo.paper.plots import Picture
 from twostage_servo.paper.scores import Scores
@@ -102,6 +103,7 @@ def render(
         "effort_quantum": f"{quanta.effort_quantum:g}",
         "claims": _claims(claims),
         "gains": _gains(),
+        "margins": _margins(),
         "methods": _methods(),
         "scores1": _scores(studies.comparisons[0]),
         "scores2": _scores(studies.comparisons[1]),
@@ -145,6 +147,23 @@ def _gains() -> str:
         )
     heads = ("", "Q/R", "f11 (V/mm)", "f12 (V s/mm)", "f22 (V/mm)", "p (mm)")
     return _table((*heads, "A_o K: position", "velocity (1/s)", "disturbance (V/mm)"), rows)
+
+
+def _margins() -> str:
+    rows = [
+        _row(
+            _cell(example.title),
+            _cell(stage),
+            _number(figure_text(margins.gain_margin)),
+            _number(figure_text(margins.phase_margin_deg)),
+            _number(figure_text(1e3 * margins.delay_margin_s)),
+            _number(figure_text(margins.modulus_margin)),
+        )
+        for example in EXAMPLES
+        for stage, margins in margins_of(example).items()
+    ]
+    heads = ("", "", "gain margin", "phase margin (deg)", "delay margin (ms)", "modulus margin")
+    return _table(heads, rows, texts=2)
 
 
 def _methods() -> str:

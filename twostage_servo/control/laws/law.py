@@ -145,6 +145,33 @@ class DesignError(ValueError):
         self.key = key
 
 
+Rows = tuple[tuple[float, ...], ...]
+"""A matrix, row by row."""
+
+
+@dataclass(frozen=True, slots=True)
+class Controller:
+    """One stage of a law without its limits, as a linear system from the position to the effort, sampled.
+
+    ``z(k+1) = a z(k) + b y(k) + set_point r(k)``, ``u(k) = c z(k)``.
+
+    Attributes
+    ----------
+    a, b, c
+        Its matrices.
+    set_point
+        The column by which the set-point enters; empty where there is none, as in a stop.
+    follows
+        What follows the set-point: ``"position"`` or ``"velocity"``; empty where there is none.
+    """
+
+    a: Rows
+    b: Rows
+    c: Rows
+    set_point: Rows = ()
+    follows: str = ""
+
+
 @dataclass(frozen=True, slots=True)
 class Loop:
     """How stable one stage's loop is.
@@ -159,6 +186,8 @@ class Loop:
         Smallest distance of the loop's frequency response from -1.
     poles
         Of the closed loop, the slowest first.
+    controller
+        The law of the stage, to be looked at more closely; None where the law does not say.
     """
 
     gain_margin: float
@@ -167,6 +196,7 @@ class Loop:
     delay_margin_s: float
     modulus_margin: float
     poles: tuple[complex, ...]
+    controller: Controller | None = None
 
 
 class LawDesign(Protocol):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
 from twostage_servo.control.laws.paper import TwoStageLaw
-from twostage_servo.control.laws.paper_margins import closed_loop_poles, loop_margins
+from twostage_servo.control.laws.paper_margins import closed_loop_poles, loop_margins, stage_controller
 from twostage_servo.control.laws.stop import StopDesign
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains, servo_gains
@@ -114,6 +114,7 @@ class PaperDesign:
                 margins.delay_margin_s,
                 margins.modulus_margin,
                 tuple(sorted(closed_loop_poles(*loop), key=abs, reverse=True)),
+                stage_controller(*loop),
             )
         return loops
 

@@ -7,7 +7,7 @@ The loop is broken at the effort. With ``z = [x_o; I]`` the controller is ``z(k+
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.law import Controller, Stage
 from twostage_servo.control.laws.stop import braking_gain
 from twostage_servo.control.observer import KalmanGain, NoiseModel, extended_model
 from twostage_servo.control.optimal import ServoGains
@@ -76,6 +76,19 @@ def controller(
         a_c[3, 1] = -gains.f22
     b_c = np.vstack([predictor, [[-gains.f22 if in_position else 0.0]]])
     return a_c, b_c, np.hstack([-feedback, [[1.0]]])
+
+
+def stage_controller(
+    model: DiscretePlant, gains: ServoGains, kalman: KalmanGain, noise: NoiseModel, stage: Stage
+) -> Controller:
+    """Return a stage's controller in plain numbers, with the place where its set-point enters: the sum of the error."""
+    a_c, b_c, c_c = (
+        tuple(tuple(map(float, row)) for row in matrix) for matrix in controller(model, gains, kalman, noise, stage)
+    )
+    if stage is Stage.BRAKE:
+        return Controller(a_c, b_c, c_c)
+    enters = ((0.0,), (0.0,), (0.0,), (gains.f22,))
+    return Controller(a_c, b_c, c_c, enters, "position" if stage is Stage.POSITION else "velocity")
 
 
 def closed_loop_poles(
