@@ -139,7 +139,8 @@ def test_what_all_axes_have_in_common() -> None:
         )  # fmt: skip
         world.service.host = lambda: host
         assert report_service(world.service).to_json()["realtime"] == {
-            "busy_wait": "off", "margin_us": 1.5, "output_offset": 0.5, "output_offset_us": None, "granted": {"cpus": "0"},
+            "busy_wait": "off", "margin_us": 1.5, "output_offset": 0.5, "output_offset_us": None,
+            "granted": {"cpus": "0"},
             "refused": [{"what": "memory", "asked": "locked", "why": "no right", "remedy": "grant it"}],
             "garbage": {"collections": 3, "postponed": 2, "longest_us": 1.0},
         }  # fmt: skip
