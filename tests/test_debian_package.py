@@ -16,10 +16,10 @@ import pytest
 from tests.system.package_trial import differences, inventory
 from tools.debian import build as build_module
 from tools.debian.build import EXAMPLES, SCRIPTS, Stage, control_text, copyright_text, oldest_libc, pack
-from twostage_servo.app.assembly import compile_profile
 from twostage_servo.cli.install_service import service_files
 from twostage_servo.cli.main import main
 from twostage_servo.config.machine import load_machine
+from twostage_servo.faults.frames import compile_profile
 
 TOOLS = Path(__file__).resolve().parents[1] / "tools"
 DATE = 1_700_000_000

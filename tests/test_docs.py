@@ -11,12 +11,13 @@ from can import Message
 
 from twostage_servo.api.requests import OPERATIONS
 from twostage_servo.app.assembly import build_service
+from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import build_parser
 from twostage_servo.config.loader import load
-from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE
 from twostage_servo.paper.errata import errata_table

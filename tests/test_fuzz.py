@@ -23,9 +23,10 @@ from tools.fuzz.reproducible import reproducible
 from tools.fuzz.request_maker import minimal_request, numeric_fields
 from tools.fuzz.targets import CodecTarget, SocketTarget
 from twostage_servo.api.requests import OPERATIONS
+from twostage_servo.axis.messages import Feedback
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import load
-from twostage_servo.drives.dbc.profile import DriveProfile, Feedback
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.drives.frame import FrameRejected
 

@@ -57,7 +57,7 @@ def test_the_configuration_takes_only_settings_from_the_rooms() -> None:
     assert sorted(names) == [
         "AxisSettings",
         "BusSettings",
-        "ProtocolSettings",
+        "DriveSettings",
         "RealtimeSettings",
         "ServiceSettings",
         "SimulationSettings",

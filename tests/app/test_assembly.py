@@ -11,21 +11,15 @@ import pytest
 from tests.service.rig import BUS, World, simulate
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
 from tests.telemetry.test_recorder import record
-from twostage_servo.app.assembly import (
-    build_service,
-    compile_profile,
-    cyclic_frames,
-    design,
-    socket_path,
-    traits_of,
-)
+from twostage_servo.app.assembly import build_drive, build_service, cyclic_frames, design, socket_path, traits_of
 from twostage_servo.app.axes_preparation import Job, prepare
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import Feedback, Reception
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.files import shipped_configuration
 from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine, load_machine
+from twostage_servo.faults.frames import compile_profile
 from twostage_servo.service.settings import ServiceSettings, longest_end_s
 
 PAGES = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1), "z": axis_page("z", "can1")}
@@ -118,9 +112,9 @@ def test_a_drive_with_a_rhythm_of_its_own_is_dated_by_its_frames(
         await world.until(lambda: world.axis.ready_to_arm)
         take = world.axis.take_feedback
 
-        def noted(feedback: Feedback) -> None:
-            ages.append(feedback.age_s)
-            take(feedback)
+        def noted(feedback: Feedback, reception: Reception) -> None:
+            ages.append(reception.age_s)
+            take(feedback, reception)
 
         monkeypatch.setattr(world.axis_loop.bus.link, "age_s", lambda _: 0.004)
         monkeypatch.setattr(world.axis, "take_feedback", noted)
@@ -149,7 +143,7 @@ def test_each_axis_of_a_machine_has_a_recording_of_its_own(tmp_path: Path) -> No
 
 def test_the_frames_that_go_for_ever_and_how_often() -> None:
     loaded = load(None, ["axis.limits.heartbeat_ms=300"])
-    frames = cyclic_frames(loaded, compile_profile(loaded), 0.02)
+    frames = cyclic_frames(loaded, build_drive(loaded), 0.02)
     assert [(frame.name, frame.period_s) for frame in frames] == [
         ("command", 0.02), ("feedback", 0.02), ("heartbeat", pytest.approx(0.1)),
     ]  # fmt: skip

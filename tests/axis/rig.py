@@ -101,9 +101,10 @@ class AxisRig:
         self.axis.begin_tick(self.tick_index, missed)
         if not self.silent:
             self.counter = (self.counter + 1) % 16
-            self.axis.take_feedback(Feedback(self.sample, self.counter, self.enabled, self.fault_code, **self.inputs))
+            feedback = Feedback(self.sample, self.counter, self.enabled, fault_code=self.fault_code, **self.inputs)
+            self.axis.take_feedback(feedback)
         command = self.axis.step()
-        self.enabled = command.enable and self.enables
+        self.enabled = command.enable is True and self.enables
         self.sample = self.sees(self.position)
         self.move(command.effort if self.enabled else 0.0)
         self.commands.append(command)

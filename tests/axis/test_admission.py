@@ -10,7 +10,7 @@ from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import NO_EFFORT, Command, DriveTraits, Feedback
+from twostage_servo.axis.messages import IN_TIME, NO_EFFORT, Command, DriveTraits, Feedback, Reception
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import Event, State, next_state
 from twostage_servo.axis.trips import Reaction, Trip, TripCode
@@ -156,7 +156,8 @@ def test_a_place_beyond_the_limits_is_refused_with_the_numbers() -> None:
 
 def test_no_effort_is_none_and_a_frame_is_asked_for_unless_it_says_otherwise() -> None:
     assert Command(0.0, enable=False) == NO_EFFORT
-    assert Feedback(0.0).unasked is False
+    assert Reception() == IN_TIME
+    assert IN_TIME.unasked is False
 
 
 def test_reactions_are_five_and_each_is_more_severe_than_the_one_before() -> None:

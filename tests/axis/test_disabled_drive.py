@@ -11,7 +11,7 @@ from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.disabled_drive import DisabledDriveWatch
-from twostage_servo.axis.messages import Feedback
+from twostage_servo.axis.messages import Feedback, Reception
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -263,7 +263,7 @@ def test_a_report_that_has_waited_says_nothing_of_now() -> None:
     for late in (True, False):
         rig.axis.begin_tick(rig.tick_index + 1, 0)
         rig.counter += 1
-        rig.axis.take_feedback(Feedback(0.0, rig.counter % 16, enabled=True, late=late))
+        rig.axis.take_feedback(Feedback(0.0, rig.counter % 16, enabled=True), Reception(late=late))
         assert drive.enabled_report is (None if late else True)
 
 

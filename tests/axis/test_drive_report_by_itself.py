@@ -7,7 +7,7 @@ import pytest
 
 from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import DriveTraits, Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback, Reception
 from twostage_servo.axis.trips import TripCode
 
 SETTINGS = axis_settings()
@@ -107,7 +107,7 @@ def test_troubles_of_the_drive_are_told_by_code() -> None:
     assert codes(drive) == {TripCode.DRIVE_DROPPED_OUT}
     assert codes(drive, arming=True) == set()
     drive.begin_tick(0)
-    drive.take(Feedback(0.0, enabled=True, fault_code=0, safe_torque_off=True))
+    drive.take(Feedback(0.0, enabled=True, fault=True, fault_code=0, safe_torque_off=True))
     assert codes(drive) == {TripCode.DRIVE_FAULT, TripCode.SAFE_TORQUE_OFF}
 
 
@@ -147,13 +147,13 @@ def test_a_newer_fault_in_a_tick_is_taken_where_there_was_none() -> None:
 def test_what_a_drive_sends_unasked_after_its_answer_does_not_replace_the_sample() -> None:
     drive = report()
     drive.begin_tick(0)
-    drive.take(Feedback(1.0, 1, age_s=0.001))
-    drive.take(Feedback(2.0, 2, age_s=0.002, unasked=True))
+    drive.take(Feedback(1.0, 1), Reception(0.001))
+    drive.take(Feedback(2.0, 2), Reception(0.002, unasked=True))
     assert (drive.position, drive.age_s) == (1.0, 0.001)
-    drive.take(Feedback(3.0, 3, age_s=0.003))
+    drive.take(Feedback(3.0, 3), Reception(0.003))
     assert (drive.position, drive.age_s) == (3.0, 0.003)
     drive.begin_tick(0)
-    drive.take(Feedback(4.0, 4, age_s=0.004, unasked=True))
+    drive.take(Feedback(4.0, 4), Reception(0.004, unasked=True))
     assert (drive.position, drive.age_s) == (4.0, 0.004)
 
 
@@ -380,7 +380,7 @@ def test_an_input_that_one_frame_of_a_tick_shows_is_active_for_that_tick(
     drive = report()
     drive.begin_tick(0)
     for counter, active in enumerate(frames):
-        drive.take(Feedback(0.0, counter, enabled=True, **{name: active}))  # type: ignore[arg-type]
+        drive.take(Feedback(0.0, counter, enabled=True, **{name: active}))
     assert getattr(drive, name) is seen_as
     drive.begin_tick(0)
     drive.take(Feedback(0.0, 5, enabled=True, **{name: False}))
@@ -393,8 +393,61 @@ def test_frames_that_came_too_late_are_told_where_there_were_any(late: int) -> N
     seen(drive, 0.0, 1)
     for counter in range(2, 2 + late):
         drive.begin_tick(0)
-        drive.take(Feedback(0.0, counter, late=True))
+        drive.take(Feedback(0.0, counter), Reception(late=True))
     for _ in range(5):
         drive.begin_tick(0)
     ((_, cause),) = drive.troubles(arming=False)
     assert cause.endswith("; 2 feedback frames have come too late to count" if late else "stale_feedback_ms is 30")
+
+
+# Whether the drive has a fault ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "seen", "faulted"),
+    [
+        (True, 4, 4, True),
+        (True, None, 0, True),
+        (None, 4, 4, True),
+        (None, 0, None, False),
+        (None, None, None, None),
+        (False, 4, None, False),  # a code that has not been cleared yet
+        (False, None, None, False),
+    ],
+)
+def test_a_drive_has_a_fault_if_it_says_so_or_where_it_has_no_bit_for_that_by_its_code(
+    fault: bool | None, code: int | None, seen: int | None, faulted: bool | None
+) -> None:
+    drive = report()
+    drive.begin_tick(0)
+    drive.take(Feedback(12.5, 7, enabled=True, fault=fault, fault_code=code))
+    assert (drive.fault_code, drive.faulted) == (seen, faulted)
+    assert (drive.position, drive.enabled) == (12.5, True)
+
+
+@pytest.mark.parametrize(
+    ("driven", "fault", "code", "seen", "faulted"),
+    [
+        (True, False, None, 0, None),
+        (True, False, 1, 1, None),
+        (False, False, None, None, None),  # where no command is needed
+        (False, True, None, 0, True),
+    ],
+)
+def test_a_time_out_of_commands_is_a_fault_of_an_axis_that_is_driven_alone(
+    *, driven: bool, fault: bool, code: int | None, seen: int | None, faulted: bool | None
+) -> None:
+    drive = report()
+    drive.begin_tick(0)
+    drive.take(Feedback(12.5, 7, fault=fault, fault_code=code, command_timeout=True), driven=driven)
+    assert (drive.fault_code, drive.faulted) == (seen, faulted)
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_each_input_of_a_drive_is_that_input_of_the_report(*, at_once: bool) -> None:
+    names = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
+    for name in names:
+        drive, given = report(), dict.fromkeys(names, not at_once) | {name: at_once}
+        drive.begin_tick(0)
+        drive.take(Feedback(12.5, 7, None, None, None, None, **given))
+        assert {one: getattr(drive, one) for one in names} == given

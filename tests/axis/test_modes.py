@@ -14,7 +14,7 @@ from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import DriveTraits, Feedback
+from twostage_servo.axis.messages import DriveTraits, Feedback, Reception
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -412,7 +412,7 @@ def test_samples_are_used_as_of_the_time_at_which_they_were_taken(ages: list[flo
         rig.axis.begin_tick(rig.tick_index, 0)
         rig.counter = (rig.counter + 1) % 16
         sample = rig.position - rig.velocity * age
-        rig.axis.take_feedback(Feedback(sample, rig.counter, rig.enabled, age_s=age))
+        rig.axis.take_feedback(Feedback(sample, rig.counter, rig.enabled), Reception(age))
         command = rig.axis.step()
         worst = max(worst, abs(rig.axis.law.observer.innovation))
         rig.sample = rig.position
@@ -434,11 +434,11 @@ def test_after_missed_ticks_a_sample_without_a_date_is_not_used() -> None:
 def test_an_answer_is_not_replaced_by_what_the_drive_reports_unasked() -> None:
     report = DriveReport(axis_settings(), PERIOD_S, DriveTraits(counter_modulus=16))
     report.begin_tick(0)
-    report.take(Feedback(1.0, 1, age_s=0.01))
-    report.take(Feedback(2.0, 2, enabled=False, age_s=0.01, unasked=True))
+    report.take(Feedback(1.0, 1), Reception(0.01))
+    report.take(Feedback(2.0, 2, enabled=False), Reception(0.01, unasked=True))
     assert (report.position, report.enabled) == (1.0, False)
     report.begin_tick(0)
-    report.take(Feedback(3.0, 3, unasked=True))
+    report.take(Feedback(3.0, 3), Reception(unasked=True))
     assert report.position == 3.0
 
 

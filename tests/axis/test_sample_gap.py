@@ -9,7 +9,7 @@ from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.drive_report import DriveReport
-from twostage_servo.axis.messages import DriveTraits, Feedback
+from twostage_servo.axis.messages import IN_TIME, DriveTraits, Feedback, Reception
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.state import State
@@ -26,8 +26,8 @@ class DatedRig(AxisRig):
 
     def tick(self, missed: int = 0):  # type: ignore[no-untyped-def]
         take = self.axis.take_feedback
-        self.axis.take_feedback = lambda feedback: take(  # type: ignore[method-assign]
-            feedback._replace(position=self.answer, age_s=(1 + missed) * PERIOD_S)
+        self.axis.take_feedback = lambda feedback, reception=IN_TIME: take(  # type: ignore[method-assign]
+            feedback._replace(position=self.answer), Reception((1 + missed) * PERIOD_S)
         )
         command = super().tick(missed)
         self.axis.take_feedback = take  # type: ignore[method-assign]
@@ -110,7 +110,7 @@ def test_an_encoder_that_stands_still_does_not_look_alive_by_the_dates_of_its_sa
     def report(age_s: float, counter: int) -> None:
         drive.begin_tick(0, motion.expected_position(driven=True))
         motion.begin_tick(0)
-        drive.take(Feedback(0.0, counter % 16, True, None, age_s=age_s))
+        drive.take(Feedback(0.0, counter % 16, True), Reception(age_s))
 
     for counter in range(3):
         report(PERIOD_S, counter)

@@ -54,7 +54,7 @@ class Rig:
         self.axis.begin_tick(self._tick, 0)
         self.axis.take_feedback(Feedback(self._sample, self._tick % 16, self._enabled))
         command = self.axis.step()
-        self._enabled = command.enable
+        self._enabled = command.enable is True
         self._sample = round(self.position / self._resolution) * self._resolution
         self._answers.append(command.effort if command.enable else 0.0)
         effort = self._answers.pop(0) - (self._load if command.enable else 0.0)

@@ -8,7 +8,7 @@ import pytest
 from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.messages import Command, Feedback
+from twostage_servo.axis.messages import Command, Feedback, Reception
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 
@@ -40,9 +40,9 @@ class LoadedRig(AxisRig):
         self.axis.begin_tick(self.tick_index, missed)
         self.counter = (self.counter + 1) % 16
         age_s = self.age_s if self.dated else None
-        self.axis.take_feedback(Feedback(self.sample, self.counter, self.enabled, age_s=age_s))
+        self.axis.take_feedback(Feedback(self.sample, self.counter, self.enabled), Reception(age_s))
         command = self.axis.step()
-        self.enabled = command.enable
+        self.enabled = command.enable is True
         late_s = PERIOD_S * self.chance.uniform(1e-3, LATE_SHARE)
         self.part(late_s)
         self.sample, self.age_s = self.position, PERIOD_S - late_s

@@ -8,7 +8,7 @@ import pytest
 
 from tests.host.machine import FakeKernel, fake_host
 from tests.host.test_can_interface import UP, healthy
-from twostage_servo.app.assembly import compile_profile, cyclic_frames
+from twostage_servo.app.assembly import build_drive, cyclic_frames
 from twostage_servo.cli.host import examine
 from twostage_servo.cli.main import main
 from twostage_servo.config.loader import load
@@ -140,7 +140,7 @@ def test_the_load_of_the_bus(tmp_path: Path, bit_rate: int | None, status: Statu
 
 
 def test_the_frames_of_the_shipped_protocol() -> None:
-    frames = {frame.name: frame for frame in cyclic_frames(load(None), compile_profile(load(None)), 0.01)}
+    frames = {frame.name: frame for frame in cyclic_frames(load(None), build_drive(load(None)), 0.01)}
     assert {name: frame.extended for name, frame in frames.items()} == dict.fromkeys(frames, False)
     assert frames.keys() == {"command", "feedback", "heartbeat"}
     assert frames["command"].period_s == frames["feedback"].period_s == 0.01

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.machine_settings import VALID, Machine, only_problem, refused, write
 from twostage_servo.config.errors import ConfigError, Problem
-from twostage_servo.config.loader import Config, load, load_as
+from twostage_servo.config.loader import Config, described, load, load_as
 from twostage_servo.settings.base import Settings
 from twostage_servo.settings.reference import describe
 
@@ -348,9 +348,9 @@ UNBOUNDED = {"protocol.feedback.position_scale": "any factor, of either sign"}
 """Numbers of the real configuration that need no lower or upper bound: key, and why."""
 
 
-@pytest.mark.parametrize("key", [row.key for row in describe(Config)])
+@pytest.mark.parametrize("key", [row.key for row in describe(described(Config, {}))])
 def test_every_setting_has_a_description_and_every_number_a_unit_and_bounds(key: str) -> None:
-    row = next(row for row in describe(Config) if row.key == key)
+    row = next(row for row in describe(described(Config, {})) if row.key == key)
     assert row.description, "no description"
     assert "\n" not in row.description
     if row.type in ("a number", "a whole number"):
@@ -359,5 +359,5 @@ def test_every_setting_has_a_description_and_every_number_a_unit_and_bounds(key:
 
 
 def test_the_list_of_unbounded_numbers_is_not_stale() -> None:
-    rows = {row.key: row for row in describe(Config)}
+    rows = {row.key: row for row in describe(described(Config, {}))}
     assert all(not (rows[key].lower and rows[key].upper) for key in UNBOUNDED)

@@ -26,7 +26,8 @@ def done(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     path_open, loads, key_lines = Path.open, tomllib.loads, toml_lines.key_lines
 
     def counting_open(path: Path, *arguments: Any, **options: Any) -> Any:
-        counted[f"read {path.name}"] += path.suffix == ".toml"
+        if path.suffix == ".toml":
+            counted[f"read {path.name}"] += 1
         return path_open(path, *arguments, **options)
 
     def counting_loads(text: str) -> dict[str, Any]:

@@ -10,11 +10,12 @@ from cantools.database.can import Database
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from twostage_servo.axis.messages import Command, Feedback, Heartbeat, IndexMark
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.drives.dbc.checksum import crc8_j1850, sum8, xor8
-from twostage_servo.drives.dbc.profile import Command, DriveProfile, Feedback, Heartbeat, Index, PositionRejected
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
-from twostage_servo.drives.frame import FrameRejected
+from twostage_servo.drives.frame import FrameRejected, PositionRejected
 from twostage_servo.drives.protocol_error import ProtocolError
 
 DBC = Path(__file__).parents[2] / "config" / "servo_drive.dbc"
@@ -185,7 +186,7 @@ def test_feedback_is_that_of_cantools(feedback: Feedback) -> None:
 
 @given(st.integers(-(2**31) + 1, 2**31 - 1), st.integers(0, 15))
 def test_index_is_that_of_cantools(raw: int, counter: int) -> None:
-    index = Index(raw * 0.001, counter)
+    index = IndexMark(raw * 0.001, counter)
     data = SHIPPED.encode_index(index)
     values = {"Position": index.position, "AliveCounter": counter, "Checksum": crc8_j1850(0x281, data[:5])}
     assert data == shipped_database().encode_message("DriveIndex", values)
@@ -407,7 +408,7 @@ def test_a_drive_without_index_has_none_to_decode_or_encode(folder: Path) -> Non
     with pytest.raises(FrameRejected, match="no index message"):
         profile.decode_index(message)
     with pytest.raises(ValueError, match="no index message"):
-        profile.encode_index(Index(0.0, 0))
+        profile.encode_index(IndexMark(0.0, 0))
 
 
 def test_the_index_of_another_drive_has_the_scale_of_its_feedback(folder: Path) -> None:
@@ -416,8 +417,8 @@ def test_the_index_of_another_drive_has_the_scale_of_its_feedback(folder: Path) 
     assert profile.index_id == Identifier(0x18FF0004, extended=True)
     assert profile.controller_identifiers == (profile.feedback_id, profile.index_id)
     frame = message_of(bytes.fromhex("ffffff9c"), 0x18FF0004, is_extended_id=True)
-    assert profile.decode_index(frame) == Index(0.5, None)
-    assert profile.encode_index(Index(0.5, 3)) == frame.data
+    assert profile.decode_index(frame) == IndexMark(0.5, None)
+    assert profile.encode_index(IndexMark(0.5, 3)) == frame.data
 
 
 def test_the_algorithm_is_the_one_that_the_settings_name() -> None:

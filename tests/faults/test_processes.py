@@ -23,13 +23,14 @@ from typing import Any, cast
 import can
 import pytest
 
-from twostage_servo.app.assembly import compile_profile, design
+from twostage_servo.app.assembly import design
+from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.state import State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.loader import load
-from twostage_servo.drives.dbc.profile import Feedback
 from twostage_servo.faults import approach, bench, power_cut
 from twostage_servo.faults.cell import Cell
+from twostage_servo.faults.frames import compile_profile
 from twostage_servo.faults.hosted import HostedRun
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import Listener, Operator, Order, RefusalError, Report, Snapshot

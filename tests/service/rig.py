@@ -8,12 +8,14 @@ from typing import TypeVar
 
 import can
 
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.assembly import build_service, drive_side
 from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.messages import Command
 from twostage_servo.axis.state import State
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import load
-from twostage_servo.drives.dbc.profile import Command
+from twostage_servo.drives.dbc.profile import DriveProfile
+from twostage_servo.faults.frames import profile_of
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.servo_service import ServoService
 from twostage_servo.simulation.bus import Wire
@@ -60,12 +62,21 @@ class World:
     def axis(self) -> Axis:
         return self.axis_loop.axis
 
+    @property
+    def profile(self) -> DriveProfile:
+        """The compiled frames of the drive."""
+        return profile_of(self.axis_loop.drive)
+
+    def hear(self, message: can.Message) -> None:
+        """Let a frame come in, as if it had just been read."""
+        self.axis_loop.bus._takers[message.arbitration_id](message)
+
     def state(self) -> State:
         return self.axis.state
 
     def sent(self) -> list[tuple[int, Command]]:
         """The commands as they stood on the bus, each with its tick."""
-        profile = self.axis_loop.profile
+        profile = self.profile
         return [
             (tick, profile.decode_command(can.Message(arbitration_id=identifier, is_extended_id=False, data=data)))
             for tick, direction, identifier, data in self.trace
@@ -115,8 +126,9 @@ def simulate(
         service = build_service(loaded, bus, lambda _: opener(wire))
         service.ticks = ticks = BusyTicks(service.ticks.period_s)
         axis_loop = service.axis_loop()
-        drive = SimulatedDrive(loaded.config.simulation, axis_loop.profile, loop.time())
-        link = Link(BUS, axis_loop.profile.drive_identifiers, functools.partial(wire.attach, "drive"))
+        side = drive_side(loaded, axis_loop.drive)
+        drive = SimulatedDrive(loaded.config.simulation, side, loop.time())
+        link = Link(BUS, side.identifiers, functools.partial(wire.attach, "drive"))
         node = DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3)
         driving = asyncio.create_task(node.run())
         world = World(service, axis_loop, drive, wire, ticks, asyncio.create_task(service.run()))

@@ -7,11 +7,11 @@ import pytest
 
 from tests.service.rig import BUS, World, simulate
 from tests.service.text_connection import socketcand_at
+from twostage_servo.axis.messages import Heartbeat
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import BusSettings, Link
-from twostage_servo.drives.dbc.profile import Heartbeat
 from twostage_servo.simulation.bus import Wire, WireBus
 from twostage_servo.timing.ticks import Tick
 
@@ -193,17 +193,17 @@ def test_a_heartbeat_from_a_backlog_is_no_sign_of_life() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         link: Link = world.axis_loop.bus.link
-        profile, drive = world.axis_loop.profile, world.axis.drive
+        profile, drive = world.profile, world.axis.drive
         assert profile.heartbeat_id is not None
         drive._ticks_since_heartbeat, boots = 5, drive.boots
         data = profile.encode_heartbeat(Heartbeat(0, (drive._boot_counter or 0) + 1))
         message = can.Message(arbitration_id=profile.heartbeat_id.identifier, is_extended_id=False, data=data)
         link.is_behind = True
-        world.axis_loop.take(message)
+        world.hear(message)
         assert drive._ticks_since_heartbeat == 5
         assert drive.boots == boots + 1  # which it does tell
         link.is_behind, message.timestamp = False, asyncio.get_running_loop().time()
-        world.axis_loop.take(message)
+        world.hear(message)
         assert drive._ticks_since_heartbeat == 0
 
     simulate(script)

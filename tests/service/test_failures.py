@@ -8,9 +8,9 @@ import can
 import pytest
 
 from tests.service.rig import World, simulate
+from twostage_servo.axis.messages import Command
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.drives.dbc.profile import Command
 
 QUANTUM = 0.001  # of the effort in the shipped DBC
 RATE_A_TICK = 1000.0 * 0.01  # axis.limits.effort_rate, in V
@@ -21,7 +21,7 @@ QUICK_STOP_TICKS = 100.0 / 4000.0 / 0.01
 PLACES: dict[str, Callable[[World], tuple[Any, str]]] = {
     "read": lambda world: (world.axis_loop.receiver, "take"),
     "update": lambda world: (world.axis, "step"),
-    "write": lambda world: (world.axis_loop.profile, "encode_command"),
+    "write": lambda world: (world.axis_loop.drive, "encode"),
     "publish": lambda world: (world.axis_loop.recorder, "add"),
 }
 

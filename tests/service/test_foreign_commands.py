@@ -44,13 +44,13 @@ class Other:
 
     def send(self, effort: float, *, enable: bool) -> None:
         self._counter += 1
-        profile = self._world.axis_loop.profile
+        profile = self._world.profile
         number, extended = profile.command_id
         data = profile.encode_command(effort, enable, self._counter)
         self._bus.send(can.Message(arbitration_id=number, is_extended_id=extended, data=data))
 
     def send_broken(self) -> None:
-        number, extended = self._world.axis_loop.profile.command_id
+        number, extended = self._world.profile.command_id
         self._bus.send(can.Message(arbitration_id=number, is_extended_id=extended, data=bytes(3)))
 
     async def command(self, effort: float, *, enable: bool, for_s: float) -> None:

@@ -7,12 +7,11 @@ import can
 import pytest
 
 from tests.service.rig import BUS, World, simulate
-from twostage_servo.axis.messages import Feedback as Taken
+from twostage_servo.axis.messages import DriveTraits, Feedback, Reception
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import Link
-from twostage_servo.drives.dbc.profile import Feedback, PositionRejected
-from twostage_servo.drives.frame import FrameRejected
+from twostage_servo.drives.frame import FrameRejected, PositionRejected
 from twostage_servo.service.receiver import Receiver
 from twostage_servo.timing.ticks import Tick
 from twostage_servo.timing.virtual_clock import run
@@ -26,9 +25,9 @@ NOWHERE = Feedback(math.nan, 0, enabled=True, fault=False, fault_code=0)
 def test_a_frame_that_only_has_the_number_of_the_command_is_rejected(kind: dict[str, bool], reason: str) -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        number = world.axis_loop.profile.command_id.identifier
+        number = world.profile.command_id.identifier
         message = can.Message(arbitration_id=number, **{"is_extended_id": False} | kind)
-        world.axis_loop.take(message)
+        world.hear(message)
         assert world.state() is State.SPEED_STAGE
         assert world.axis_loop.bus.link.counters.rejected_by_reason[reason] == 1
 
@@ -38,10 +37,8 @@ def test_a_frame_that_only_has_the_number_of_the_command_is_rejected(kind: dict[
 def test_a_command_of_another_length_is_a_second_controller_too() -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        number = world.axis_loop.profile.command_id.identifier
-        world.axis_loop.receiver.take(
-            can.Message(arbitration_id=number, is_extended_id=False, data=b"1"), world.axis, world.axis_loop.bus.link
-        )
+        number = world.profile.command_id.identifier
+        world.hear(can.Message(arbitration_id=number, is_extended_id=False, data=b"1"))
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.FOREIGN_COMMAND
         assert "0x201 [31]" in world.axis.trip.cause
@@ -62,12 +59,12 @@ def test_what_a_drive_without_encoder_says_is_heard_in_the_same_tick(
 ) -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        profile, axis = world.axis_loop.profile, world.axis
+        profile, axis = world.profile, world.axis
         counter = (axis.drive.monitor._counter or 0) + 1
         whole = Feedback(axis.drive.position or 0.0, counter + 1, enabled=True, fault=False, fault_code=0)
         axis.begin_tick(world.service.statistics.count + 1, 0)
         for feedback in [lost._replace(counter=counter), whole] if good_frame_follows else [lost]:
-            world.axis_loop.take(
+            world.hear(
                 can.Message(
                     arbitration_id=profile.feedback_id.identifier,
                     is_extended_id=False,
@@ -86,14 +83,14 @@ def test_what_a_drive_without_encoder_says_is_heard_in_the_same_tick(
 def test_a_wrong_checksum_is_not_heard_at_all() -> None:
     async def script(world: World) -> None:
         await world.armed()
-        profile = world.axis_loop.profile
+        profile = world.profile
         data = bytearray(profile.encode_feedback(Feedback(float("nan"), 1, enabled=True, fault=True, fault_code=4)))
         data[-1] ^= 1
         message = can.Message(arbitration_id=profile.feedback_id.identifier, is_extended_id=False, data=data)
         with pytest.raises(FrameRejected) as caught:
             profile.decode_feedback(message)
         assert not isinstance(caught.value, PositionRejected)
-        world.axis_loop.take(message)
+        world.hear(message)
         assert world.axis.drive.fault_code is None
 
     simulate(script)
@@ -102,122 +99,63 @@ def test_a_wrong_checksum_is_not_heard_at_all() -> None:
 # What a frame means ---------------------------------------------------------------------------------------------------
 
 
-class Frames:
-    """A drive's frames, all of which are the same feedback."""
-
-    def __init__(self, feedback: Feedback) -> None:
-        self._feedback = feedback
-        self.state_texts: dict[int, str] = {}
-
-    def is_feedback(self, _: can.Message) -> bool:
-        return True
-
-    def decode_feedback(self, _: can.Message) -> Feedback:
-        return self._feedback
-
-
 class TakingAxis:
     """An axis that keeps what it is given."""
 
-    def __init__(self, state: State = State.HOLDING) -> None:
-        self.state = state
-        self.taken: list[Taken] = []
+    def __init__(self) -> None:
+        self.taken: list[tuple[Feedback, Reception]] = []
 
-    def take_feedback(self, feedback: Taken) -> None:
-        self.taken.append(feedback)
+    def take_feedback(self, feedback: Feedback, reception: Reception) -> None:
+        self.taken.append((feedback, reception))
 
 
-def taken(
-    feedback: Feedback,
-    state: State = State.HOLDING,
-    *,
-    dated: bool = False,
-    sent_s: float | None = None,
-    lateness_s: float = 0.0,
-    link: Link | None = None,
-) -> Taken:
-    """Return what an axis is given of a frame in the tick whose deadline is at 1 s."""
+def received(
+    *, dated: bool = False, sent_s: float | None = None, lateness_s: float = 0.0, link: Link | None = None
+) -> Reception:
+    """Return what an axis is told of how a frame came, in the tick whose deadline is at 1 s."""
 
-    async def take() -> Taken:
-        receiver = Receiver(cast("Any", Frames(feedback)), 0.01, dated=dated)
-        axis = TakingAxis(state)
+    async def take() -> Reception:
+        receiver = receiver_of(dated=dated)
+        axis = TakingAxis()
         receiver.begin_tick(Tick(100, 1.0, lateness_s, 0), sent_s)
-        receiver.take(can.Message(), cast("Any", axis), link or Link(BUS, []))
-        return axis.taken[0]
+        receiver.take(lambda _: HERE, can.Message(), cast("Any", axis), link or Link(BUS, []))
+        ((feedback, reception),) = axis.taken
+        assert feedback is HERE  # nothing is copied on the way
+        return reception
 
     return run(take())
+
+
+def receiver_of(*, dated: bool) -> Receiver:
+    return Receiver(DriveTraits(sampling="cyclic" if dated else "on_command"), 0x181, 0.01)
 
 
 HERE = Feedback(12.5, 7, enabled=True, fault=False, fault_code=None)
 
 
-@pytest.mark.parametrize(
-    ("fault", "code", "seen", "faulted"),
-    [
-        (True, 4, 4, True),
-        (True, None, 0, True),
-        (None, 4, 4, True),
-        (None, 0, None, False),
-        (None, None, None, None),
-        (False, 4, None, False),  # a code that has not been cleared yet
-        (False, None, None, False),
-    ],
-)
-def test_a_drive_has_a_fault_if_it_says_so_or_where_it_has_no_bit_for_that_by_its_code(
-    fault: bool | None, code: int | None, seen: int | None, faulted: bool | None
-) -> None:
-    feedback = taken(HERE._replace(fault=fault, fault_code=code))
-    assert (feedback.fault_code, feedback.faulted) == (seen, faulted)
-    assert (feedback.position, feedback.counter, feedback.enabled) == (12.5, 7, True)
-
-
-@pytest.mark.parametrize(
-    ("state", "fault", "seen", "faulted"),
-    [
-        (State.HOLDING, False, 0, None),
-        (State.DISARMED, False, None, None),  # where no command is needed
-        (State.DISARMED, True, 0, True),
-    ],
-)
-def test_a_time_out_of_commands_is_a_fault_of_an_axis_that_is_driven_alone(
-    state: State, fault: bool, seen: int | None, faulted: bool | None
-) -> None:
-    feedback = taken(HERE._replace(fault=fault, command_timeout=True), state)
-    assert (feedback.fault_code, feedback.faulted) == (seen, faulted)
-
-
-@pytest.mark.parametrize("at_once", [True, False])
-def test_each_input_of_a_drive_is_that_input_of_the_axis(*, at_once: bool) -> None:
-    names = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
-    for name in names:
-        given = dict.fromkeys(names, not at_once) | {name: at_once}
-        feedback = taken(HERE._replace(**given))
-        assert {one: getattr(feedback, one) for one in names} == given
-
-
 def test_a_sample_is_as_old_as_the_command_that_it_answers() -> None:
-    assert taken(HERE).age_s is None  # before the first one
-    assert taken(HERE, sent_s=0.9902, lateness_s=0.003).age_s == pytest.approx(0.0098)
+    assert received().age_s is None  # before the first one
+    assert received(sent_s=0.9902, lateness_s=0.003).age_s == pytest.approx(0.0098)
 
 
 @pytest.mark.parametrize(("sent_s", "unasked"), [(None, False), (0.99, False), (0.9899, False), (0.9797, True)])
 def test_a_drive_that_was_not_asked_for_longer_than_a_period_may_have_reported_by_itself(
     sent_s: float | None, *, unasked: bool
 ) -> None:
-    assert taken(HERE, sent_s=sent_s).unasked is unasked
-    assert taken(HERE, sent_s=sent_s, dated=True).unasked is False  # which reports as it likes
+    assert received(sent_s=sent_s).unasked is unasked
+    assert received(sent_s=sent_s, dated=True).unasked is False  # which reports as it likes
     if sent_s is not None:
-        assert taken(HERE, sent_s=sent_s, lateness_s=0.005).unasked is True  # nor had been when this tick began
+        assert received(sent_s=sent_s, lateness_s=0.005).unasked is True  # nor had been when this tick began
 
 
 def test_where_the_bus_dates_its_frames_a_drive_of_its_own_rhythm_is_dated_by_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     link = Link(BUS, [])
-    assert taken(HERE, dated=True, sent_s=0.99, link=link).age_s is None
+    assert received(dated=True, sent_s=0.99, link=link).age_s is None
     monkeypatch.setattr(link, "age_s", lambda _: 0.004)
-    assert taken(HERE, dated=True, sent_s=0.99, lateness_s=0.001, link=link).age_s == pytest.approx(0.003)
-    assert taken(HERE, dated=False, sent_s=0.99, lateness_s=0.001, link=link).age_s == pytest.approx(0.01)
+    assert received(dated=True, sent_s=0.99, lateness_s=0.001, link=link).age_s == pytest.approx(0.003)
+    assert received(dated=False, sent_s=0.99, lateness_s=0.001, link=link).age_s == pytest.approx(0.01)
 
 
 @pytest.mark.parametrize(("waited_s", "late"), [(None, False), (0.0, False), (0.0049, False), (0.0051, True)])
@@ -226,21 +164,21 @@ def test_a_frame_that_has_waited_for_more_than_half_a_period_does_not_say_how_th
 ) -> None:
     link = Link(BUS, [])
     monkeypatch.setattr(link, "waited_s", lambda _: waited_s)
-    assert taken(HERE, link=link).late is late
+    assert received(link=link).late is late
     link.is_behind = True
-    assert taken(HERE, link=link).late is True
+    assert received(link=link).late is True
 
 
 def test_how_old_the_frames_were_and_when_the_latest_came_is_known_where_the_bus_dates_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def take() -> None:
-        receiver, axis, link = Receiver(cast("Any", Frames(HERE)), 0.01, dated=False), TakingAxis(), Link(BUS, [])
+        receiver, axis, link = receiver_of(dated=False), TakingAxis(), Link(BUS, [])
         receiver.begin_tick(Tick(0, 0.0, 0.0, 0), None)
-        receiver.take(can.Message(), cast("Any", axis), link)
+        receiver.take(lambda _: HERE, can.Message(), cast("Any", axis), link)
         assert (receiver.arrived_s, receiver.frame_age.count) == (None, 0)
         monkeypatch.setattr(link, "age_s", lambda _: 0.002)
-        receiver.take(can.Message(), cast("Any", axis), link)
+        receiver.take(lambda _: HERE, can.Message(), cast("Any", axis), link)
         assert receiver.arrived_s == pytest.approx(-0.002)
         assert receiver.frame_age.largest_us == pytest.approx(2000.0)
         receiver.begin_tick(Tick(1, 0.01, 0.0, 0), 0.0)

@@ -16,6 +16,7 @@ from twostage_servo.config.files import shipped_configuration
 from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine
 from twostage_servo.drives.dbc.compiler import dbc_digest
+from twostage_servo.drives.dbc.drive import DbcDrive
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.drives.protocol_error import ProtocolError
@@ -178,8 +179,9 @@ def test_a_dbc_file_that_has_changed_since_the_start_is_told_and_not_passed_over
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         axis, reload = world.axis, reloading(world, file)
-        profile = world.axis_loop.profile
-        profile.traits = replace(profile.traits, digest="of another content")
+        drive = world.axis_loop.drive
+        assert isinstance(drive, DbcDrive)
+        drive.traits = replace(drive.traits, digest="of another content")
         with pytest.raises(ConfigError, match="the content of the DBC file has changed: only a restart") as error:
             reload()
         assert error.value.problems[0].key == "protocol.dbc"

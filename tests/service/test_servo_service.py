@@ -11,12 +11,12 @@ import structlog
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, StatusRequest
 from twostage_servo.app.assembly import build_axis, put_axes_in
+from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.canbus.link import LinkError
 from twostage_servo.config.loader import load
-from twostage_servo.drives.dbc.profile import Command
 from twostage_servo.service.settings import stop_ms
 
 
@@ -128,7 +128,7 @@ def test_after_a_reload_the_end_waits_for_what_the_axes_take_by_then(stated: boo
         service = world.service
         before = service.settings.shutdown_timeout_ms
         slow = load(None, ["axis.limits.acceleration=20"])
-        put_axes_in(service, [build_axis(slow, world.axis_loop.profile.traits, service.ticks.period_s)])
+        put_axes_in(service, [build_axis(slow, world.profile.traits, service.ticks.period_s)])
         assert (service.settings.shutdown_timeout_ms > 10.0 * before) is not stated
         assert service.settings.shutdown_timeout_ms == (before if stated else 2.0 * stop_ms(world.axis.design))
 
@@ -278,7 +278,7 @@ def test_a_stall_is_skipped_counted_and_never_made_up_in_a_burst(stall_s: float,
 def test_frames_that_cannot_be_used_are_counted_and_bridged() -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        identifier = world.axis_loop.profile.feedback_id.identifier
+        identifier = world.profile.feedback_id.identifier
         rejected = {
             "length": [can.Message(arbitration_id=identifier, is_extended_id=False, data=bytes(n)) for n in (0, 7)],
             "checksum": [
@@ -322,7 +322,7 @@ def test_a_second_controller_on_the_bus_trips_and_keeps_the_axis_from_arming() -
 
     async def script(world: World) -> None:
         await world.cruising()
-        profile = world.axis_loop.profile
+        profile = world.profile
         frame = profile.encode_command(3.0, enable=True, counter=7)
         with world.wire.attach("another controller") as other:
             other.send(can.Message(arbitration_id=profile.command_id.identifier, is_extended_id=False, data=frame))

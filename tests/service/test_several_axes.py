@@ -12,7 +12,7 @@ import pytest
 import structlog
 
 from twostage_servo.api.request_reading import read_request
-from twostage_servo.app.assembly import build_service, reload_machine
+from twostage_servo.app.assembly import build_service, drive_side, reload_machine
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
@@ -94,12 +94,13 @@ def operate(path: Path, script: Callable[[Plant], Awaitable[None]], *overrides: 
         plant, nodes = Plant(service, wires), []
         for loaded, axis_loop in zip(machine.axes, service.axis_loops, strict=True):
             config = loaded.config
-            drive = plant.drives[axis_loop.name] = SimulatedDrive(config.simulation, axis_loop.profile, loop.time())
+            side = drive_side(loaded, axis_loop.drive)
+            drive = plant.drives[axis_loop.name] = SimulatedDrive(config.simulation, side, loop.time())
 
             def attach(name: str = axis_loop.name, channel: str | int = config.bus.channel) -> can.BusABC:
                 return wire(channel).attach(name)
 
-            link = Link(config.bus, axis_loop.profile.drive_identifiers, attach)
+            link = Link(config.bus, side.identifiers, attach)
             nodes.append(DriveNode(drive, link, config.simulation.cycle_ms / 1e3))
         serving = asyncio.create_task(service.run())
         driving = [asyncio.create_task(node.run()) for node in nodes]

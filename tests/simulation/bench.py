@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from twostage_servo.axis.messages import Feedback, Heartbeat, IndexMark
 from twostage_servo.canbus.identifier import Identifier
-from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat, Index
+from twostage_servo.drives.dbc.drive_side import DbcDriveSide
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.settings import SimulationSettings
 
@@ -21,7 +23,7 @@ class Bench:
 
     def __init__(self, profile: DriveProfile, boot_counter: int = 0, **settings: Any) -> None:
         self.profile = profile
-        self.drive = SimulatedDrive(SimulationSettings(**settings), profile, START_S, boot_counter)
+        self.drive = SimulatedDrive(SimulationSettings(**settings), DbcDriveSide(profile), START_S, boot_counter)
         self.counter = 0
 
     def command(self, at_s: float, effort: float = 0.0, *, enable: bool = True, repeat_counter: bool = False) -> None:
@@ -36,16 +38,16 @@ class Bench:
     def change(self, at_s: float, **faults: Any) -> None:
         self.drive.change(START_S + at_s, **faults)
 
-    def cycle(self, at_s: float) -> list[Feedback | Index | Heartbeat]:
+    def cycle(self, at_s: float) -> list[Feedback | IndexMark | Heartbeat]:
         return [self.decode(*frame) for frame in self.drive.cycle(START_S + at_s)]
 
     def feedback(self, at_s: float) -> list[Feedback]:
         return [frame for frame in self.cycle(at_s) if isinstance(frame, Feedback)]
 
-    def index(self, at_s: float) -> list[Index]:
-        return [frame for frame in self.cycle(at_s) if isinstance(frame, Index)]
+    def index(self, at_s: float) -> list[IndexMark]:
+        return [frame for frame in self.cycle(at_s) if isinstance(frame, IndexMark)]
 
-    def decode(self, identifier: Identifier, data: bytes) -> Feedback | Index | Heartbeat:
+    def decode(self, identifier: Identifier, data: bytes) -> Feedback | IndexMark | Heartbeat:
         if identifier == self.profile.index_id:
             return self.profile.decode_index(message(identifier, data))
         if identifier == self.profile.heartbeat_id:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link import BusSettings, Link, LinkError
+from twostage_servo.drives.dbc.drive_side import DbcDriveSide
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.simulation.bus import Wire, WireBus
@@ -266,7 +267,7 @@ def test_a_drive_and_a_controller_meet_on_it_in_simulated_time(profile: DrivePro
         wire = Wire(loop.time)
         wire.disturb = lambda sender, message, _: [(0.003 if sender == "drive" else 0.0, message)]
         settings = SimulationSettings(command_timeout_ms=1000.0)
-        drive = SimulatedDrive(settings, profile, loop.time())
+        drive = SimulatedDrive(settings, DbcDriveSide(profile), loop.time())
         node = DriveNode(drive, Link(SETTINGS, profile.drive_identifiers, partial(wire.attach, "drive")), 0.001)
         running = asyncio.create_task(node.run())
         link = Link(SETTINGS, [profile.feedback_id], partial(wire.attach, "controller"))

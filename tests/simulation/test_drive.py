@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from tests.simulation.bench import START_S, Bench, message, motion
-from twostage_servo.canbus.identifier import Identifier
-from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat
+from twostage_servo.axis.messages import Feedback, Heartbeat
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import CommandSettings, FeedbackSettings, ProtocolSettings
+from twostage_servo.drives.frame import SentFrame
 from twostage_servo.simulation.drive import COMMAND_TIMEOUT_FAULT
 from twostage_servo.simulation.settings import SimulationSettings
 
@@ -312,7 +313,7 @@ def test_the_noise_is_gaussian_of_the_size_asked_for_and_hides_nothing_true(prof
 
 
 def test_the_same_seed_gives_the_same_frames_and_another_seed_others(profile: DriveProfile) -> None:
-    def frames(seed: int) -> list[list[tuple[Identifier, bytes]]]:
+    def frames(seed: int) -> list[list[SentFrame]]:
         bench = Bench(profile, noise_std=0.1, frame_loss=0.3, seed=seed)
         return [bench.drive.cycle(START_S + n / 100) for n in range(200)]
 

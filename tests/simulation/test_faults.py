@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from tests.simulation.bench import GAIN, POLE, START_S, Bench, message, motion
-from twostage_servo.canbus.identifier import Identifier
-from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat
-from twostage_servo.drives.frame import FrameRejected
+from twostage_servo.axis.messages import Feedback, Heartbeat
+from twostage_servo.drives.dbc.profile import DriveProfile
+from twostage_servo.drives.frame import FrameRejected, SentFrame
 from twostage_servo.simulation.faults import DriveFaults
 
 PATIENT = {"command_timeout_ms": 10_000.0}  # a drive that a test need not command all the time
@@ -495,7 +495,7 @@ def test_a_boot_takes_some_time(profile: DriveProfile, boot_s: float) -> None:
 
 
 def test_faults_leave_the_chance_of_noise_and_losses_as_it_was(profile: DriveProfile) -> None:
-    def frames(**faults: Any) -> list[list[tuple[Identifier, bytes]]]:
+    def frames(**faults: Any) -> list[list[SentFrame]]:
         bench = Bench(profile, noise_std=0.1, frame_loss=0.3)
         bench.change(0.0, **faults)
         bench.change(0.5, **{name: getattr(DriveFaults(), name) for name in faults})

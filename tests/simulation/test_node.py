@@ -10,6 +10,7 @@ import pytest
 from twostage_servo.canbus.hub import Hub
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link import BusSettings, Link, LinkError
+from twostage_servo.drives.dbc.drive_side import DbcDriveSide
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -62,7 +63,7 @@ class Bench:
         bus = BusSettings(interface="virtual", channel=f"test {uuid.uuid4()}", reopen_interval_ms=200.0)
         simulation = SimulationSettings(**settings)
         self.profile = profile
-        self.drive = SimulatedDrive(simulation, profile, asyncio.get_running_loop().time())
+        self.drive = SimulatedDrive(simulation, DbcDriveSide(profile), asyncio.get_running_loop().time())
         self.drive_link = FailingLink(bus, [profile.command_id])
         self.node = DriveNode(self.drive, self.drive_link, simulation.cycle_ms / 1e3, observer)
         self.link = Link(bus, [profile.feedback_id])
@@ -211,7 +212,7 @@ def test_opening_in_a_thread_survives_cancellation(profile: DriveProfile) -> Non
             return asyncio.shield(working)
 
         loop.run_in_executor = slow  # type: ignore[method-assign, assignment]
-        drive = SimulatedDrive(SimulationSettings(), profile, loop.time())
+        drive = SimulatedDrive(SimulationSettings(), DbcDriveSide(profile), loop.time())
         task = asyncio.create_task(DriveNode(drive, link, 0.001).run())
         await asyncio.sleep(0.01)
         task.cancel()
@@ -230,7 +231,9 @@ def test_in_real_time_it_joins_a_hub_that_its_own_loop_serves(profile: DriveProf
         hub = Hub(port=0)
         await hub.start()
         bus = BusSettings(interface="socketcand", channel="can0", options={"host": "127.0.0.1", "port": hub.port})
-        drive = SimulatedDrive(SimulationSettings(initial_position=3.5), profile, asyncio.get_running_loop().time())
+        drive = SimulatedDrive(
+            SimulationSettings(initial_position=3.5), DbcDriveSide(profile), asyncio.get_running_loop().time()
+        )
         node = DriveNode(drive, Link(bus, [profile.command_id]), 0.001)
         task = asyncio.create_task(node.run())
         link = Link(bus, [profile.feedback_id])

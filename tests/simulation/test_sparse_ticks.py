@@ -8,6 +8,7 @@ import can
 import pytest
 
 from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.drives.dbc.drive_side import DbcDriveSide
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
@@ -24,7 +25,7 @@ async def heard(
     """Command a drive on a tick that comes late, rests and goes on; return all that arrives, with its time."""
     loop = asyncio.get_running_loop()
     wire = Wire(loop.time)
-    drive = SimulatedDrive(SimulationSettings(**settings), profile, loop.time())
+    drive = SimulatedDrive(SimulationSettings(**settings), DbcDriveSide(profile), loop.time())
     bus = BusSettings(interface="virtual", channel="x")
     link = Link(bus, profile.drive_identifiers, functools.partial(wire.attach, "drive"))
     place = wire.node("drive")

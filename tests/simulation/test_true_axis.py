@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from tests.simulation.bench import Bench, motion
-from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Index
+from twostage_servo.axis.messages import Feedback, IndexMark
+from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.simulation.faults import DriveFaults
 from twostage_servo.simulation.settings import SimulationSettings
@@ -77,7 +78,7 @@ def test_an_index_mark_is_latched_exactly_each_time_it_is_passed(profile: DriveP
     passed = [(n, index) for n in range(200) for index in bench.index(n / 1000)]
     (n, index) = passed[0]
     assert len(passed) == 1
-    assert index == Index(123 * 0.001, 1)  # 0.1234 on the wire's steps of 0.001
+    assert index == IndexMark(123 * 0.001, 1)  # 0.1234 on the wire's steps of 0.001
     assert motion((n / 1000 - 0.001, 1.0))[0] < 0.1234 <= motion((n / 1000, 1.0))[0]
     bench.command(0.2, -1.0)
     passed = [(n, index) for n in range(200, 2000) for index in bench.index(n / 1000)]

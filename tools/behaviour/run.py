@@ -22,7 +22,7 @@ from typing import Final
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from twostage_servo.api.request_reading import read_request
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.assembly import build_service, drive_side
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.cli.main import main as run_verb
@@ -93,8 +93,9 @@ async def two_axes() -> str:
     service = build_service(machine, bus, lambda _: wire.attach("service"))
     drives, nodes = [], []
     for loaded, axis in zip(machine.axes, service.axis_loops, strict=True):
-        drive = SimulatedDrive(loaded.config.simulation, axis.profile, loop.time())
-        link = Link(bus, axis.profile.drive_identifiers, functools.partial(wire.attach, axis.name))
+        side = drive_side(loaded, axis.drive)
+        drive = SimulatedDrive(loaded.config.simulation, side, loop.time())
+        link = Link(bus, side.identifiers, functools.partial(wire.attach, axis.name))
         drives.append(drive)
         nodes.append(DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3))
     listener = wire.attach("listener")

@@ -11,7 +11,7 @@ from typing import Final
 from tools.bench.children import ROOT
 from tools.bench.plan import PATIENT
 from twostage_servo.api.requests import ArmRequest, MoveRequest, Request
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.assembly import build_service, drive_side
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import Link
 from twostage_servo.config.loader import Config, LoadedConfig, load
@@ -48,9 +48,10 @@ def build(axes: int) -> tuple[ServoService, list[DriveNode], Callable[[], list[R
     service = build_service(machine, opener=lambda bus: wires[bus.channel].attach("service"))
     nodes = []
     for loaded, axis_loop in zip(files, service.axis_loops, strict=True):
-        drive = SimulatedDrive(loaded.config.simulation, axis_loop.profile, now())
+        side = drive_side(loaded, axis_loop.drive)
+        drive = SimulatedDrive(loaded.config.simulation, side, now())
         attach = functools.partial(wires[loaded.config.bus.channel].attach, axis_loop.name)
-        link = Link(loaded.config.bus, axis_loop.profile.drive_identifiers, attach)
+        link = Link(loaded.config.bus, side.identifiers, attach)
         nodes.append(DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3))
     end = _HALF_WAY
 

@@ -5,6 +5,7 @@ on its public counters and state.
 """
 
 import asyncio
+import functools
 import logging
 import math
 import random
@@ -18,10 +19,14 @@ import structlog
 from tools.fuzz.drives import Drive
 from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.assembly import build_service
+from twostage_servo.axis.messages import ForeignCommand
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.control.plant import Plant
+from twostage_servo.drives.drive import Decoder, Report
+from twostage_servo.drives.frame import ReceivedFrame
+from twostage_servo.faults.frames import protocol_of
 from twostage_servo.timing.ticks import Tick, Ticks
 from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
@@ -229,12 +234,11 @@ class Bench:
         self.commands = drive.kinds["command"]
         config = drive.loaded.config
         self.plant = Plant(config.axis.plant.gain, config.axis.plant.pole).discretise(self.period_s)
-        self.scale = -1.0 if config.protocol.feedback.position_scale < 0.0 else 1.0
-        self.limit = min(config.axis.limits.effort, axis_loop.profile.traits.effort_limit) + 1e-9
-        self.command_number = axis_loop.profile.command_id.identifier
-        self.listened = {identifier.identifier for identifier in axis_loop.profile.controller_identifiers}
-        self.listened.add(self.command_number)
-        self.feedback_number = axis_loop.profile.feedback_id.identifier
+        self.scale = -1.0 if protocol_of(config).feedback.position_scale < 0.0 else 1.0
+        self.limit = min(config.axis.limits.effort, axis_loop.drive.traits.effort_limit) + 1e-9
+        self.command_number = axis_loop.drive.command_id.identifier
+        self.listened = {identifier.identifier for identifier in axis_loop.drive.decoders}
+        self.feedback_number = axis_loop.drive.feedback_id.identifier
         self.prepare: Callable[[], Awaitable[None]] = self.idle
         self.position = self.sample = self.velocity = 0.0
         self.counter = self.boots = 0
@@ -258,18 +262,20 @@ class Bench:
         self._sends_seen = 0
         self._acting = 0.0
         self._enabled = False
-        for name in self.kinds:
-            attribute = f"decode_{name}"
-            setattr(axis_loop.profile, attribute, self._counted(name, getattr(axis_loop.profile, attribute)))
+        takers = axis_loop.bus._takers  # noqa: SLF001 - counts what they decode
+        for name, kind in self.kinds.items():
+            decode = self._counted(name, axis_loop.drive.decoders[kind.identifier])
+            takers[kind.identifier.identifier] = functools.partial(axis_loop.take, decode)
         axis_loop.bus.observers.append(self._observe)
 
-    def _counted(self, name: str, decode: Callable[[can.Message], Any]) -> Callable[[can.Message], Any]:
+    def _counted(self, name: str, decode: Decoder) -> Decoder:
         decoded = self.decoded
 
-        def counted(message: can.Message) -> Any:
+        def counted(message: ReceivedFrame) -> Report | None:
             record = decode(message)
-            decoded[name] += 1
-            self._decoded += 1
+            if not isinstance(record, ForeignCommand) or record.command is not None:
+                decoded[name] += 1
+                self._decoded += 1
             return record
 
         return counted
@@ -318,10 +324,10 @@ class Bench:
         if bus.sends != self._sends_seen and bus.sent is not None:
             self._sends_seen = bus.sends
             command = self.commands.decode(bus.sent)
-            enable = command.enable is not False and self.axis_loop.command.enable
+            enable = command.enable is not False and self.axis_loop.command.enable is True
             if (
                 not math.isfinite(command.effort)
-                or abs(command.effort) > self.limit + self.axis_loop.profile.traits.effort_quantum
+                or abs(command.effort) > self.limit + self.axis_loop.drive.traits.effort_quantum
             ):
                 raise Failed(f"the command on the bus has effort {command.effort}, the limit is {self.limit}")
             self._enabled = enable
@@ -424,7 +430,7 @@ class Bench:
     def _check_command(self) -> None:
         """Check that the effort is finite, within its limit, and none on an axis that is not driven."""
         axis_loop, axis = self.axis_loop, self.axis_loop.axis
-        state, (effort, enable) = axis.state, axis_loop.command
+        state, (effort, enable, _) = axis.state, axis_loop.command
         if not math.isfinite(effort) or abs(effort) > self.limit:
             raise Failed(f"the effort is {effort}, the limit {self.limit}")
         # A command that did not leave may have tripped the axis after it was made.
@@ -457,11 +463,11 @@ class Bench:
 
     def check_end(self) -> None:
         """Check the sums, and that the last command has disabled the drive."""
-        sent, profile = self.bus.sent, self.axis_loop.profile
+        sent = self.bus.sent
         if sent is not None and self.axis_loop.bus.error is None and self.bus.trouble is None:
             command = self.commands.decode(sent)
             if command.effort != 0.0 or command.enable:
-                raise Failed(f"the last command is {command}, {profile.command_id}")
+                raise Failed(f"the last command is {command}, {self.axis_loop.drive.command_id}")
         if self.axis_loop.axis.state in {*DRIVEN, State.ARMING}:
             raise Failed(f"the service has ended in state {self.axis_loop.axis.state}")
 

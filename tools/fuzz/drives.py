@@ -13,13 +13,13 @@ from cantools.database import load_file
 from cantools.database.can import Database, Message
 from pydantic import BaseModel
 
-from twostage_servo.app.assembly import compile_profile
 from twostage_servo.axis.settings import LimitSettings
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.drives.dbc.checksum import CHECKSUMS
 from twostage_servo.drives.dbc.profile import LARGEST_POSITION, DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
+from twostage_servo.faults.frames import compile_profile, protocol_of
 
 _FOLDER = Path(__file__).parent / "dbc"
 _BIG = (1e9, -1e12, 3.4028234e38, -1e300, 1e308, -1.7976931348623157e308)
@@ -124,7 +124,7 @@ class Drive:
     @cached_property
     def database(self) -> Database:
         """The DBC, as cantools reads it."""
-        dbc = self.loaded.config.protocol.dbc
+        dbc = protocol_of(self.loaded.config).dbc
         path = self.loaded.folder / dbc if dbc else Path(str(files("twostage_servo_config"))) / "servo_drive.dbc"
         database = load_file(str(path), strict=False)
         assert isinstance(database, Database)  # noqa: S101 - a DBC is nothing else
@@ -141,14 +141,14 @@ class Drive:
                 continue
             decode, encode = getattr(profile, attribute), getattr(profile, f"encode_{name}")
             record = typing.get_type_hints(decode)["return"]
-            table = getattr(self.loaded.config.protocol, name)
+            table = getattr(protocol_of(self.loaded.config), name)
             message = self.database.get_message_by_name(table.message)
             checksum = getattr(table, "checksum", False)
             roles = {role: getattr(table, role, False) for role in record._fields}
             byte = None
             if isinstance(checksum, str):
-                byte = self.loaded.config.protocol.checksum, message.get_signal_by_name(checksum).start // 8
-            scale = self.loaded.config.protocol.feedback.position_scale
+                byte = protocol_of(self.loaded.config).checksum, message.get_signal_by_name(checksum).start // 8
+            scale = protocol_of(self.loaded.config).feedback.position_scale
             kinds[name] = Kind(
                 name, identifier, record, _packer(name, encode), decode, message, byte,
                 {role: signal for role, signal in roles.items() if isinstance(signal, str)},

@@ -8,7 +8,7 @@ from tools.soak.drive_watch import DriveWatch
 from tools.soak.encoder_watch import ENCODER_FACTORS, EncoderWatch
 from tools.soak.invariants import BrokenInvariantError, Invariants
 from tools.soak.operator_model import OperatorModel
-from twostage_servo.app.assembly import build_axis, compile_profile
+from twostage_servo.app.assembly import build_axis, build_drive
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.axis.trips import TripCode
@@ -44,10 +44,10 @@ class AxisSoak:
         self.configuration.check()
         random = self.random
         loaded = self.configuration.load()
-        profile = compile_profile(loaded)
+        traits = build_drive(loaded).traits
         self.tick_s = self.configuration.tick_s
-        self.axis: Axis = build_axis(loaded, profile.traits, self.tick_s)
-        quantum = profile.traits.position_quantum
+        self.axis: Axis = build_axis(loaded, traits, self.tick_s)
+        quantum = traits.position_quantum
         homing = self.axis.settings.homing
         self.drive = DriveModel(
             self.axis.design,

@@ -144,11 +144,11 @@ class DriveModel:
             self._sample + (self.spike if tick == self.spike_at else 0.0),
             self._counter,
             self.enabled and not sto,
-            7 if tick < self.fault_until else None,
-            sto,
-            self.limit_switch > 0.0,
-            self.limit_switch < 0.0,
-            None if self._switch_from is None else self.position <= self._switch_from,
+            fault_code=7 if tick < self.fault_until else None,
+            safe_torque_off=sto,
+            positive_limit=self.limit_switch > 0.0,
+            negative_limit=self.limit_switch < 0.0,
+            home_switch=None if self._switch_from is None else self.position <= self._switch_from,
         )
 
     def obey(self, command: Command, tick: int) -> None:

@@ -16,9 +16,9 @@ from twostage_servo.canbus.bus_load import CyclicFrame, bus_load
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
-from twostage_servo.drives.dbc.compiler import dbc_digest
-from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat
+from twostage_servo.drives.drive import Drive, DriveSide
 from twostage_servo.drives.protocol_error import ProtocolError
+from twostage_servo.drives.registry import drive_type
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.bus_connection import BusConnection
 from twostage_servo.service.servo_service import ServoService
@@ -52,21 +52,28 @@ def design(loaded: LoadedConfig[Config], tick_s: float | None = None) -> AxisDes
         raise loaded.problem(error.key, str(error)) from error
 
 
-def compile_profile(loaded: LoadedConfig[Config]) -> DriveProfile:
-    """Compile the drive's frames from its DBC.
+def build_drive(loaded: LoadedConfig[Config]) -> Drive:
+    """Make the drive that a configuration names, from the controller's end.
 
     Raises
     ------
     ConfigError
-        If the DBC does not hold what the configuration names, or the command signal cannot carry the effort limit.
+        If the drive does not fit its settings, or its command cannot carry the effort limit.
     """
     config = loaded.config
+    make = drive_type(config.protocol.type).build
     try:
-        profile = DriveProfile.compile(config.protocol, loaded.folder, config.axis.unit, fd=config.bus.fd)
+        drive: Drive = make(config.protocol, loaded.folder, config.axis.unit, config.bus.fd)
     except ProtocolError as error:
         raise loaded.problem(error.key, str(error)) from error
-    _check_effort(loaded, profile.traits)
-    return profile
+    _check_effort(loaded, drive.traits)
+    return drive
+
+
+def drive_side(loaded: LoadedConfig[Config], drive: Drive) -> DriveSide:
+    """Return the drive's own end of a drive of this configuration, for a simulated one."""
+    side: DriveSide = drive_type(loaded.config.protocol.type).side(drive)
+    return side
 
 
 def _check_effort(loaded: LoadedConfig[Config], traits: DriveTraits) -> None:
@@ -152,10 +159,9 @@ def build_service(
 
 
 def _build_axis_loop(loaded: LoadedConfig[Config], machine: Machine) -> AxisLoop:
-    profile = compile_profile(loaded)
+    drive = build_drive(loaded)
     tick_s = machine.service.tick_ms / 1e3
-    axis = build_axis(loaded, profile.traits, tick_s)
-    return AxisLoop(axis, profile, tick_s, machine.service.recording_s, dated=profile.traits.sampling == "cyclic")
+    return AxisLoop(build_axis(loaded, drive.traits, tick_s), drive, tick_s, machine.service.recording_s)
 
 
 def _build_bus(
@@ -168,8 +174,8 @@ def _build_bus(
     owners: dict[int, str] = {}
     heard: list[Identifier] = []
     for loaded, axis_loop in members:
-        profile = axis_loop.profile
-        for identifier in (*profile.controller_identifiers, profile.command_id):
+        drive = axis_loop.drive
+        for identifier in drive.decoders:
             if identifier.identifier in owners:
                 raise loaded.problem(
                     ("protocol",),
@@ -177,9 +183,9 @@ def _build_bus(
                     "drive its own (protocol.identifier_offset, or another DBC)",
                 )
             owners[identifier.identifier] = f"axis {axis_loop.name} ({loaded.source})"
-        heard += profile.controller_identifiers
-        if settings.interface not in _ECHOING:
-            heard.append(profile.command_id)  # which only somebody else can have sent
+        # What the drive obeys only somebody else can have sent, where the bus does not bring our own frames back.
+        echoed = drive.obeyed if settings.interface in _ECHOING else ()
+        heard += [identifier for identifier in drive.decoders if identifier not in echoed]
     _check_load(settings, members, tick_s)
     link = Link(settings, heard, functools.partial(opener, settings) if opener is not None else None)
     return BusConnection(link, [axis_loop for _, axis_loop in members], tick_s)
@@ -188,7 +194,7 @@ def _build_bus(
 def _check_load(settings: BusSettings, members: list[tuple[LoadedConfig[Config], AxisLoop]], tick_s: float) -> None:
     if settings.bitrate is None:
         return
-    frames = [frame for loaded, axis_loop in members for frame in cyclic_frames(loaded, axis_loop.profile, tick_s)]
+    frames = [frame for loaded, axis_loop in members for frame in cyclic_frames(loaded, axis_loop.drive, tick_s)]
     load = bus_load(frames, settings.bitrate)
     if load > 1.0:
         names = ", ".join(axis_loop.name for _, axis_loop in members)
@@ -200,23 +206,13 @@ def _check_load(settings: BusSettings, members: list[tuple[LoadedConfig[Config],
         )
 
 
-def cyclic_frames(loaded: LoadedConfig[Config], profile: DriveProfile, tick_s: float) -> list[CyclicFrame]:
+def cyclic_frames(loaded: LoadedConfig[Config], drive: Drive, tick_s: float) -> Sequence[CyclicFrame]:
     """Return the frames that service and drive exchange for ever, on a tick of so many seconds.
 
     A drive answers each command, or sends at a rhythm of its own that is taken for the tick's. Its heartbeat is taken
     to come three times in its time-out. The index message is left out: it comes in homing alone.
     """
-    command = profile.encode_command(0.0, enable=False, counter=0)
-    feedback = profile.encode_feedback(Feedback(0.0, None, None, None, None))
-    frames = [
-        CyclicFrame("command", len(command), profile.command_id.extended, tick_s),
-        CyclicFrame("feedback", len(feedback), profile.feedback_id.extended, tick_s),
-    ]
-    if profile.heartbeat_id is not None:
-        heartbeat = profile.encode_heartbeat(Heartbeat(0, 0))
-        period_s = loaded.config.axis.limits.heartbeat_ms / 3e3
-        frames.append(CyclicFrame("heartbeat", len(heartbeat), profile.heartbeat_id.extended, period_s))
-    return frames
+    return drive.cyclic_frames(tick_s, loaded.config.axis.limits.heartbeat_ms / 3e3)
 
 
 def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> None:
@@ -233,7 +229,7 @@ def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> N
 
 def traits_of(service: ServoService) -> dict[str, DriveTraits]:
     """Return what the axes of a service have to know of their drives, by their names."""
-    return {axis_loop.name: axis_loop.profile.traits for axis_loop in service.axis_loops}
+    return {axis_loop.name: axis_loop.drive.traits for axis_loop in service.axis_loops}
 
 
 def put_axes_in(service: ServoService, axes: Sequence[Axis]) -> None:
@@ -283,11 +279,9 @@ def _reread_axis(
     if fresh.config.axis.unit != running.config.axis.unit:  # the frames were compiled for it
         raise fresh.problem(("axis", "unit"), f"the unit {_RESTART}")
     try:
-        digest = dbc_digest(fresh.config.protocol.dbc, fresh.folder)
+        drive_type(fresh.config.protocol.type).check_unchanged(fresh.config.protocol, fresh.folder, traits)
     except ProtocolError as error:
         raise fresh.problem(error.key, str(error)) from error
-    if digest != traits.digest:
-        raise fresh.problem(("protocol", "dbc"), f"the content of the DBC file {_RESTART}")
     _check_effort(fresh, traits)
     return build_axis(fresh, traits, tick_s)
 

@@ -23,8 +23,7 @@ def compare_with_frames(example: Example) -> FramesComparison:
         If the axis trips or does not arrive.
     """
     quiet = _demonstrate(example, "simulation.noise_std=0")
-    profile = quiet.profile
-    position_quantum, effort_quantum = profile.traits.position_quantum or 0.0, profile.traits.effort_quantum or 0.0
+    position_quantum, effort_quantum = quiet.traits.position_quantum or 0.0, quiet.traits.effort_quantum or 0.0
     alone = simulate(METHODS["proposed"].build, example, noise_variance=0.0)
     rounded = simulate(
         METHODS["proposed"].build,

@@ -7,13 +7,13 @@ import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.assembly import build_service, drive_side
+from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import Config, LoadedConfig
-from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
 from twostage_servo.timing.ticks import Tick
@@ -88,6 +88,7 @@ class Demonstration:
         self.samples: list[Sample] = []
         self.failure: str | None = None
         self.refused: Refused | None = None
+        self._loaded = loaded
         self._config = loaded.config
         self._target = target
         self._velocity = velocity
@@ -104,15 +105,16 @@ class Demonstration:
         self._move: _Move | None = None
 
     @property
-    def profile(self) -> DriveProfile:
-        """The compiled protocol, with the quanta of its signals."""
-        return self._axis_loop.profile
+    def traits(self) -> DriveTraits:
+        """What is known of the drive beforehand, such as the quanta of its signals."""
+        return self._axis_loop.drive.traits
 
     async def run(self) -> None:
         """Run the whole demo on the running loop."""
         simulation = self._config.simulation
-        self._drive = SimulatedDrive(simulation, self._axis_loop.profile, asyncio.get_running_loop().time())
-        link = Link(self._bus, self._axis_loop.profile.drive_identifiers)
+        side = drive_side(self._loaded, self._axis_loop.drive)
+        self._drive = SimulatedDrive(simulation, side, asyncio.get_running_loop().time())
+        link = Link(self._bus, side.identifiers)
         node = DriveNode(self._drive, link, simulation.cycle_ms / 1e3)
         async with asyncio.TaskGroup() as group:
             group.create_task(node.run())
@@ -240,5 +242,5 @@ class Demonstration:
         return None
 
     def _sent(self, effort: float) -> float:
-        quantum = self._axis_loop.profile.traits.effort_quantum
+        quantum = self.traits.effort_quantum
         return round(effort / quantum) * quantum if quantum else effort

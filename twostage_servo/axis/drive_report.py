@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from twostage_servo.axis.drive_states import DriveState, DriveStateComparison
 from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
 from twostage_servo.axis.foreign_commands import ForeignCommands
-from twostage_servo.axis.messages import DriveTraits, Feedback
+from twostage_servo.axis.messages import IN_TIME, DriveTraits, Feedback, Reception
 from twostage_servo.axis.refusals import Obstacle, RefusalCode
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.trips import TripCode
@@ -119,8 +119,10 @@ class DriveReport:
 
     # What comes from the drive ---------------------------------------------------------------------------------------
 
-    def take(self, feedback: Feedback) -> bool:
+    def take(self, feedback: Feedback, reception: Reception = IN_TIME, *, driven: bool = True) -> bool:
         """Take one frame's feedback, if it is new; a fault, drop-out or input of an earlier frame of the tick stays.
+
+        A command time-out of the drive is a fault only while the axis is driven: elsewhere no command is needed.
 
         Returns
         -------
@@ -130,12 +132,13 @@ class DriveReport:
         """
         if not math.isfinite(feedback.position):
             self.monitor.reject()
-            self._take_state(feedback)  # a drive that has lost its encoder may say why
+            self._take_state(feedback, reception.late, driven)  # a drive that has lost its encoder may say why
             return True
-        if not self.monitor.accept(feedback.counter, late=feedback.late):
+        age_s, unasked, late = reception
+        if not self.monitor.accept(feedback.counter, late=late):
             return True
-        if feedback.late:
-            self._take_state(feedback)
+        if late:
+            self._take_state(feedback, late, driven)
             return True
         self._backlog = None
         again = self.fresh
@@ -145,17 +148,22 @@ class DriveReport:
         position = self._rolled_out(feedback.position)
         if self._near is None:
             self._near = position
-        if not (again and feedback.unasked):
-            self.position, self.age_s = position, feedback.age_s
-        self._take_state(feedback)
+        if not (again and unasked):
+            self.position, self.age_s = position, age_s
+        self._take_state(feedback, late, driven)
         return sure
 
-    def _take_state(self, feedback: Feedback) -> None:
+    def _take_state(self, feedback: Feedback, late: bool, driven: bool) -> None:
         again, self.told_state = self.told_state, True
-        self.told_present_state = self.told_present_state or not feedback.late
+        self.told_present_state = self.told_present_state or not late
+        code, timed_out = feedback.fault_code, feedback.command_timeout
+        faulted = code != 0 if feedback.fault is None and code is not None else feedback.fault
+        fault_code = (code or 0) if faulted or (timed_out and driven) else None
+        if timed_out and not faulted:  # alone it says nothing of other faults
+            faulted = None
         self.enabled = False if again and self.enabled is False else feedback.enabled
-        self.fault_code = self.fault_code if again and self.fault_code is not None else feedback.fault_code
-        self.faulted = (again and self.faulted) or feedback.faulted
+        self.fault_code = self.fault_code if again and self.fault_code is not None else fault_code
+        self.faulted = (again and self.faulted) or faulted
         # Written out: a loop over their names took three times as long, on every axis and tick.
         self.safe_torque_off = (again and self.safe_torque_off) or feedback.safe_torque_off
         self.positive_limit = (again and self.positive_limit) or feedback.positive_limit

@@ -7,7 +7,7 @@ from twostage_servo.axis.disabled_drive import DisabledDriveWatch
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.drive_states import DriveState
 from twostage_servo.axis.homing import Homing, HomingFailed
-from twostage_servo.axis.messages import NO_EFFORT, Command, DriveTraits, Feedback
+from twostage_servo.axis.messages import IN_TIME, NO_EFFORT, Command, DriveTraits, Feedback, Reception
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.moves import Move, MoveOutcome
 from twostage_servo.axis.reference import Reference
@@ -179,9 +179,9 @@ class Machine:
                 f"axis.limits.missed_ticks is {self.settings.limits.missed_ticks}",
             )
 
-    def take_feedback(self, feedback: Feedback) -> None:
+    def take_feedback(self, feedback: Feedback, reception: Reception = IN_TIME) -> None:
         """Take one decoded feedback frame; the newest of a tick counts."""
-        if not self.drive.take(feedback):
+        if not self.drive.take(feedback, reception, driven=self.state in DRIVEN):
             self.reference.lose(
                 "the axis was not seen for so long that it may have gone half of the range in which its encoder counts"
             )

@@ -1,4 +1,4 @@
-"""What crosses between an axis and its drive: the drive's traits, feedback and commands."""
+"""What crosses between an axis and its drive: the drive's traits, what it reports, and commands."""
 
 import math
 from collections.abc import Mapping
@@ -62,20 +62,43 @@ class DriveTraits:
 
 
 class Feedback(NamedTuple):
-    """What one frame says of the drive. None: the drive has no such signal.
+    """What a drive says of itself, in one frame or in several. None: the drive has no such signal.
 
     Attributes
     ----------
     position
-        Measured position in axis unit, as the encoder counts it.
+        Measured position in axis unit, as the encoder counts it; NaN where the drive says that it is invalid.
     counter
         Alive counter.
     enabled
         Whether the drive is enabled.
+    fault
+        Whether the drive has a fault.
     fault_code
-        Fault code while the drive reports a fault, else None.
+        Which one; 0 for none. Of a drive that has no `fault`, this says whether there is one.
+    command_timeout
+        Whether the drive has stopped by itself because commands ceased.
     safe_torque_off, positive_limit, negative_limit, home_switch
         Whether these inputs of the drive are active.
+    """
+
+    position: float
+    counter: int | None = None
+    enabled: bool | None = None
+    fault: bool | None = None
+    fault_code: int | None = None
+    command_timeout: bool | None = None
+    safe_torque_off: bool | None = None
+    positive_limit: bool | None = None
+    negative_limit: bool | None = None
+    home_switch: bool | None = None
+
+
+class Reception(NamedTuple):
+    """How a frame came to be read, which only who has read it knows.
+
+    Attributes
+    ----------
     age_s
         How long before the tick the sample was taken, in s; None: at the instant of the last command.
     unasked
@@ -83,29 +106,73 @@ class Feedback(NamedTuple):
     late
         Whether the frame has waited, unread, for longer than it may: what it says of the drive's state still counts,
         its position is not of now.
-    faulted
-        Whether the drive says that it has a fault.
     """
 
-    position: float
-    counter: int | None = None
-    enabled: bool | None = None
-    fault_code: int | None = None
-    safe_torque_off: bool | None = None
-    positive_limit: bool | None = None
-    negative_limit: bool | None = None
-    home_switch: bool | None = None
     age_s: float | None = None
     unasked: bool = False
     late: bool = False
-    faulted: bool | None = None
+
+
+IN_TIME = Reception()
+"""Of a frame that answers the last command, sampled as that arrived, and read at once."""
+
+
+class Heartbeat(NamedTuple):
+    """What a drive's heartbeat says; None where the drive has no such signal.
+
+    Attributes
+    ----------
+    state
+        Number of the state that the drive is in, as its own documents count them.
+    boot_counter
+        Count of the drive's boots.
+    """
+
+    state: int | None
+    boot_counter: int | None
+
+
+class IndexMark(NamedTuple):
+    """Position that the encoder latched at its index mark, in axis unit; no counter where the drive has none."""
+
+    position: float
+    counter: int | None
 
 
 class Command(NamedTuple):
-    """What goes to the drive this tick: effort in effort unit, and whether the drive shall be enabled."""
+    """What goes to the drive in a tick.
+
+    Attributes
+    ----------
+    effort
+        In effort unit.
+    enable
+        Whether the drive shall be enabled; None where it has no such signal.
+    counter
+        Alive counter of the frame that it was read from; None before it is sent.
+    """
 
     effort: float
-    enable: bool
+    enable: bool | None
+    counter: int | None = None
 
 
 NO_EFFORT = Command(0.0, enable=False)
+
+
+class ForeignCommand(NamedTuple):
+    """A command to an axis' drive that somebody else has sent.
+
+    Attributes
+    ----------
+    frame
+        The frame, in hexadecimal.
+    command
+        What it asks for; None where that cannot be read.
+    rejected
+        Why it cannot be read; empty where it can.
+    """
+
+    frame: str
+    command: Command | None
+    rejected: str = ""

@@ -55,13 +55,16 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 def _check(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.app.assembly import build_service
-    from twostage_servo.config.loader import Config
+    from twostage_servo.config.loader import Config, described
     from twostage_servo.config.machine import MachineConfig
     from twostage_servo.service.settings import longest_end_s
     from twostage_servo.settings.reference import describe
 
     if options.explain:
-        rows = [*describe(Config), *(row for row in describe(MachineConfig) if row.key.startswith("machine"))]
+        rows = [
+            *describe(described(Config, {})),
+            *(row for row in describe(MachineConfig) if row.key.startswith("machine")),
+        ]
         if options.json:
             print_json({"keys": [{name: getattr(row, name) for name in row.__slots__} for row in rows]})
         else:
@@ -93,15 +96,15 @@ def _check(options: argparse.Namespace) -> ExitCode:
 
 
 def _summary(machine: "Machine", loaded: "LoadedConfig[Config]", axis_loop: "AxisLoop") -> dict[str, Any]:
-    config, profile, axis = loaded.config, axis_loop.profile, axis_loop.axis
+    config, drive, axis = loaded.config, axis_loop.drive, axis_loop.axis
     return {
         "axis": config.axis.name,
         "bus": {"interface": config.bus.interface, "channel": config.bus.channel},
         "frames": {
-            "command": profile.command_id.identifier,
-            "feedback": profile.feedback_id.identifier,
-            "effort_quantum": profile.traits.effort_quantum,
-            "position_quantum": profile.traits.position_quantum,
+            "command": drive.command_id.identifier,
+            "feedback": drive.feedback_id.identifier,
+            "effort_quantum": drive.traits.effort_quantum,
+            "position_quantum": drive.traits.position_quantum,
         },
         "changeover_distance": axis.design.changeover_distance(config.axis.cruise_velocity),
         "unit": config.axis.unit,
@@ -116,7 +119,7 @@ def _warnings(loaded: "LoadedConfig[Config]", axis_loop: "AxisLoop") -> "Iterato
     """Yield the limits that protect from nothing, with the place where each is set."""
     from twostage_servo.axis.weak_limits import weak_limits
 
-    traits = axis_loop.profile.traits
+    traits = axis_loop.drive.traits
     for weak in weak_limits(axis_loop.axis.design, traits.position_quantum, heartbeat=traits.has_heartbeat):
         yield _warning(loaded.problem(("axis", *weak.key), weak.disables), weak.value, weak.do)
 

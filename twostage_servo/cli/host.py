@@ -279,7 +279,7 @@ def _socket_finding(path: "Path") -> "Finding":
 
 
 def _load_finding(axes: "list[LoadedConfig[Config]]", tick_s: float, bit_rate: int | None) -> "Finding":
-    from twostage_servo.app.assembly import compile_profile, cyclic_frames
+    from twostage_servo.app.assembly import build_drive, cyclic_frames
     from twostage_servo.canbus.bus_load import bus_load
     from twostage_servo.host.findings import Finding, Status
 
@@ -289,7 +289,7 @@ def _load_finding(axes: "list[LoadedConfig[Config]]", tick_s: float, bit_rate: i
     if bit_rate is None:
         return Finding(name, Status.SKIP, "the bit rate is not known")
     with configuration_problems():
-        frames = [frame for loaded in axes for frame in cyclic_frames(loaded, compile_profile(loaded), tick_s)]
+        frames = [frame for loaded in axes for frame in cyclic_frames(loaded, build_drive(loaded), tick_s)]
     load = bus_load(frames, bit_rate)
     each = ", ".join(f"{one.name} each {1e3 * one.period_s:g} ms" for one in frames[:3])
     found = f"{100 * load:.3g} % of {bit_rate / 1e3:g} kbit/s at most, by {len(axes)} axes alone ({each})"

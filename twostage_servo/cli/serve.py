@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from twostage_servo.config.loader import Config
     from twostage_servo.config.machine import Machine
-    from twostage_servo.drives.dbc.profile import DriveProfile
+    from twostage_servo.drives.drive import DriveSide
     from twostage_servo.service.ending_signals import EndingSignals
     from twostage_servo.service.notify import Notifier
     from twostage_servo.service.servo_service import ServoService
@@ -175,7 +175,7 @@ def _drive(options: argparse.Namespace) -> int:
 def _run_drives(options: argparse.Namespace, signals: "EndingSignals") -> None:
     import asyncio
 
-    from twostage_servo.app.assembly import compile_profile
+    from twostage_servo.app.assembly import build_drive, drive_side
     from twostage_servo.service.log import open_log
     from twostage_servo.timing.ticks import real_time_loop
 
@@ -183,9 +183,9 @@ def _run_drives(options: argparse.Namespace, signals: "EndingSignals") -> None:
     writer = open_log(machine.service.log_level)
     try:
         with configuration_problems():
-            profiles = [compile_profile(loaded) for loaded in machine.axes]
+            sides = [drive_side(loaded, build_drive(loaded)) for loaded in machine.axes]
         with asyncio.Runner(loop_factory=real_time_loop) as runner:
-            summaries = runner.run(_simulate([loaded.config for loaded in machine.axes], profiles, signals))
+            summaries = runner.run(_simulate([loaded.config for loaded in machine.axes], sides, signals))
     finally:
         writer.close()
     if options.json:
@@ -193,7 +193,7 @@ def _run_drives(options: argparse.Namespace, signals: "EndingSignals") -> None:
 
 
 async def _simulate(
-    configs: "list[Config]", profiles: "list[DriveProfile]", signals: "EndingSignals"
+    configs: "list[Config]", sides: "list[DriveSide]", signals: "EndingSignals"
 ) -> list[dict[str, Any]]:
     import asyncio
     import dataclasses
@@ -204,12 +204,12 @@ async def _simulate(
 
     now_s, boot_counter = asyncio.get_running_loop().time(), boots_by_the_clock()
     drives = [
-        SimulatedDrive(config.simulation, profile, now_s, boot_counter)
-        for config, profile in zip(configs, profiles, strict=True)
+        SimulatedDrive(config.simulation, side, now_s, boot_counter)
+        for config, side in zip(configs, sides, strict=True)
     ]
     nodes = [
-        DriveNode(drive, Link(config.bus, profile.drive_identifiers), config.simulation.cycle_ms / 1e3)
-        for drive, config, profile in zip(drives, configs, profiles, strict=True)
+        DriveNode(drive, Link(config.bus, side.identifiers), config.simulation.cycle_ms / 1e3)
+        for drive, config, side in zip(drives, configs, sides, strict=True)
     ]
 
     def stop() -> None:

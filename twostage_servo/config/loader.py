@@ -4,12 +4,12 @@ The settings themselves, with units and bounds, are declared in the room that us
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, create_model
 
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.canbus.bus_settings import BusSettings
@@ -18,7 +18,7 @@ from twostage_servo.config.errors import ConfigError, Problem
 from twostage_servo.config.problems import validation_problems
 from twostage_servo.config.renamed_keys import note_of, present_path, under_present_names
 from twostage_servo.config.toml_file import TomlFile, read_toml
-from twostage_servo.drives.dbc.settings import ProtocolSettings
+from twostage_servo.drives.settings import DriveSettings
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.settings.base import Settings
@@ -33,7 +33,9 @@ class Config(Settings):
     service: ServiceSettings = Field(ServiceSettings(), description="The tick and what runs beside it")
     realtime: RealtimeSettings = Field(RealtimeSettings(), description="What the service asks of its host")
     bus: BusSettings = Field(description="The CAN bus")
-    protocol: ProtocolSettings = Field(ProtocolSettings(), description="The drive's frames, as its DBC names them")
+    protocol: DriveSettings = Field(
+        default_factory=lambda: DriveSettings.model_validate({}), description="The type of the drive, and its frames"
+    )
     axis: AxisSettings = Field(description="The drive: plant, law, observer, limits")
     simulation: SimulationSettings = Field(SimulationSettings(), description="The simulated drive")
 
@@ -123,8 +125,20 @@ def validated(model: type[ModelT], file: TomlFile, overrides: Sequence[str] = ()
     try:
         config = model.model_validate(document.data)
     except ValidationError as error:
-        raise ConfigError([*validation_problems(error, document, model), *problems]) from None
+        raise ConfigError([*validation_problems(error, document, described(model, document.data)), *problems]) from None
     if problems:
         raise ConfigError(problems)
     renamed = (*present.notes, *(note_of(one) for one in document.overrides if one.named != one.path))
     return LoadedConfig(config, file.source, file.folder, renamed, document)
+
+
+def described(model: type[Settings], data: Mapping[str, Any]) -> type[Settings]:
+    """Return a settings class with every key that a file may have; which keys ``[protocol]`` has, its type decides."""
+    if "protocol" not in model.model_fields:
+        return model
+    protocol = DriveSettings.class_for(data.get("protocol"))
+    description = model.model_fields["protocol"].description
+    typed: type[Settings] = create_model(
+        model.__name__, __base__=model, protocol=(protocol, Field(default_factory=protocol, description=description))
+    )
+    return typed

@@ -1,7 +1,8 @@
-"""A frame as a drive receives it, and the refusal of one that must not be used."""
+"""Frames as a drive receives and sends them, and the refusal of one that must not be used."""
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
+from twostage_servo.axis.messages import Feedback
 from twostage_servo.canbus.identifier import Identifier
 
 
@@ -33,6 +34,13 @@ class ReceivedFrame(Protocol):
         """Whether it is a CAN FD frame."""
 
 
+class SentFrame(NamedTuple):
+    """A frame to be sent."""
+
+    identifier: Identifier
+    data: bytes
+
+
 class FrameRejected(Exception):  # noqa: N818 - not an error of the program: a finding about a frame
     """A frame that must not be used. Its text shows the frame in hexadecimal.
 
@@ -40,7 +48,7 @@ class FrameRejected(Exception):  # noqa: N818 - not an error of the program: a f
     ----------
     reason : str
         ``"error_frame"``, ``"remote"``, ``"fd"``, ``"extended"``, ``"identifier"``, ``"length"``, ``"checksum"``,
-        ``"reserved_value"`` or ``"not_finite"``.
+        ``"reserved_value"`` or ``"not_finite"``; a kind of drive may have others.
     """
 
     def __init__(self, reason: str, message: ReceivedFrame, detail: str) -> None:
@@ -57,3 +65,17 @@ class FrameRejected(Exception):  # noqa: N818 - not an error of the program: a f
         """Return the text. It is put together only here, because a babbling node makes many that nobody reads."""
         identifier = Identifier(self._message.arbitration_id, self._message.is_extended_id)
         return f"frame {identifier} [{self._message.data.hex(' ')}] rejected ({self.reason}): {self._detail}"
+
+
+class PositionRejected(FrameRejected):
+    """A feedback whose position must not be used, though the frame is whole: a drive without encoder still has a state.
+
+    Attributes
+    ----------
+    feedback : Feedback
+        What else the frame says; its position is NaN.
+    """
+
+    def __init__(self, reason: str, message: ReceivedFrame, detail: str, feedback: Feedback) -> None:
+        super().__init__(reason, message, detail)
+        self.feedback = feedback

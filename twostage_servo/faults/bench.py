@@ -14,9 +14,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from twostage_servo.app.assembly import compile_profile
 from twostage_servo.canbus.link import LinkError
 from twostage_servo.config.loader import Config, LoadedConfig, load
+from twostage_servo.faults.frames import compile_profile
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import Listener, Operator, Snapshot
 

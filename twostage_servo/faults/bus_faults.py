@@ -7,6 +7,7 @@ from random import Random
 
 import can
 
+from twostage_servo.faults.frames import profile_of
 from twostage_servo.faults.world import DRIVE, SERVICE, World
 
 Deliveries = Iterable[tuple[float, can.Message]]
@@ -25,7 +26,7 @@ def on_feedback(world: World, act: Callable[[int, can.Message], Deliveries]) -> 
 
     def disturb(sender: str, message: can.Message, _: float) -> Deliveries:
         nonlocal seen
-        if sender != DRIVE or not world.axis_loop.profile.is_feedback(message):
+        if sender != DRIVE or message.arbitration_id != world.axis_loop.drive.feedback_id.identifier:
             return [(0.0, message)]
         seen += 1
         return act(seen - 1, message)
@@ -136,8 +137,7 @@ def babble(world: World, random: Random) -> None:
     """Let a node send frames of other identifiers for half a second: 15 in a ms, 150 in a tick at most."""
     node = world.wire.node(SERVICE)
     count = round(min(15e3 * world.period_s, 150.0))
-    profiles = [axis_loop.profile for axis_loop in world.service.axis_loops]
-    known = {one.identifier for profile in profiles for one in (*profile.controller_identifiers, profile.command_id)}
+    known = {one.identifier for axis_loop in world.service.axis_loops for one in axis_loop.drive.decoders}
     others = [number for number in range(0x800) if number not in known]
     end_s = world.now_s + 0.5
 
@@ -157,8 +157,7 @@ def back_up(world: World, _: Random) -> None:
     """
     node, link = world.wire.node(SERVICE), world.axis_loop.bus.link
     node.queue_length = 1_000_000
-    profiles = [axis_loop.profile for axis_loop in world.service.axis_loops]
-    known = {one.identifier for profile in profiles for one in (*profile.controller_identifiers, profile.command_id)}
+    known = {one.identifier for axis_loop in world.service.axis_loops for one in axis_loop.drive.decoders}
     foreign = next(number for number in range(0x7FF, 0, -1) if number not in known)
     frame = can.Message(arbitration_id=foreign, is_extended_id=False, is_fd=link.settings.fd, data=bytes(8))
     frames = math.ceil(1.25 * link.settings.frames_read(world.period_s))
@@ -175,7 +174,7 @@ def back_up(world: World, _: Random) -> None:
 
 def foreign_command(world: World, _: Random) -> None:
     """Let another node command the drive, for a second: to be disabled, so that nothing else comes of it."""
-    profile = world.axis_loop.profile
+    profile = profile_of(world.axis_loop.drive)
     node = world.wire.node(SERVICE)
     end_s = world.now_s + 1.0
     counter = 0
@@ -195,8 +194,7 @@ def foreign_command(world: World, _: Random) -> None:
 
 def malformed(world: World, random: Random) -> None:
     """Send frames with the feedback's number and a wrong length, kind or identifier, beside the good ones."""
-    profile = world.axis_loop.profile
-    number, extended = profile.feedback_id
+    number, extended = world.axis_loop.drive.feedback_id
     data = random.randbytes(8)
     node = world.wire.node(SERVICE)
     for message in (

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from twostage_servo.app.assembly import compile_profile, design
+from twostage_servo.app.assembly import design
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.cell import Cell, NotApplicable
+from twostage_servo.faults.frames import compile_profile, protocol_of
 from twostage_servo.faults.limits import Motion
 from twostage_servo.faults.script import Outcome, Script
 from twostage_servo.faults.table import (
@@ -80,7 +81,7 @@ class Campaign:
                     yield NotApplicable(fault.number, fault.name, phase.value, reason, self.axis)
 
     def _why_not(self, fault: Fault, phase: Phase) -> str:
-        if not fault.needs(self.profile, self.loaded.config.protocol):
+        if not fault.needs(self.profile, protocol_of(self.loaded.config)):
             return fault.reason
         if reason := fault.why_not(self.loaded.config):
             return reason
@@ -92,7 +93,7 @@ class Campaign:
     def can_search(self) -> bool:
         """Whether the axis can look for a reference: a drive that is homed where it stands needs a home switch."""
         config = self.loaded.config
-        return config.axis.homing.method != "set_here" or config.protocol.feedback.home_switch is not False
+        return config.axis.homing.method != "set_here" or protocol_of(config).feedback.home_switch is not False
 
     def configuration(self, phase: Phase) -> Machine:
         """Return the configuration in which a phase is played."""

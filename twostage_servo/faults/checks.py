@@ -140,7 +140,7 @@ async def still_seen(world: World) -> str | None:
     if world.axis.drive.is_stale or position is None:
         return "the position is not seen any more"
     apart = abs(position - world.drive.position)
-    resolution = 2.0 * max(world.axis_loop.profile.traits.position_quantum, world.simulation.quantum)
+    resolution = 2.0 * max(world.axis_loop.drive.traits.position_quantum, world.simulation.quantum)
     return None if apart <= resolution + world.axis.settings.window.position else f"the position is off by {apart:.4g}"
 
 

@@ -6,10 +6,11 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from twostage_servo.app.assembly import build_service, compile_profile
+from twostage_servo.app.assembly import build_service
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.faults.cell import Cell, NotApplicable
+from twostage_servo.faults.frames import compile_profile, protocol_of
 from twostage_servo.faults.table import REFUSED, TOLERATED, Phase
 
 _MISSING = "stale_feedback_ms"
@@ -63,7 +64,7 @@ class ConfigurationFaults:
     def unit_is_free(loaded: LoadedConfig[Config]) -> bool:
         """Whether the axis' unit can't be compared with one of the DBC."""
         profile = compile_profile(loaded)
-        return loaded.config.protocol.feedback.position_scale != 1.0 or not profile.traits.position_unit
+        return protocol_of(loaded.config).feedback.position_scale != 1.0 or not profile.traits.position_unit
 
     def _override(self, override: str) -> Callable[[], LoadedConfig[Config]]:
         return lambda: load(self._path, [*self._overrides, override])

@@ -174,7 +174,7 @@ def roll_over_ahead(world: World) -> None:
 
     To be called while the axis is disarmed and at rest.
     """
-    period = world.axis_loop.profile.traits.position_period
+    period = world.axis_loop.drive.traits.position_period
     place = world.drive.position
     offset = period / 2.0 - place - world.roll_over_in
     world.change(measure=lambda position: position + offset)
@@ -201,7 +201,7 @@ def creep(world: World) -> None:
 
 def contradiction(world: World, _: Random) -> None:
     """Let the heartbeat say that the drive has a fault, while the feedback says that it has none."""
-    texts = world.axis_loop.profile.traits.state_texts
+    texts = world.axis_loop.drive.traits.state_texts
     world.change(heartbeat_state=next(value for value, text in texts.items() if text.lower() == FAULT_STATE))
 
 

@@ -34,6 +34,7 @@ from twostage_servo.faults.checks import (
     told_in_time,
     within_jam_effort,
 )
+from twostage_servo.faults.frames import protocol_of
 from twostage_servo.faults.limits import Limit, either, hidden_by_noise, looks_like_the_model, too_slow
 from twostage_servo.faults.world import World
 
@@ -266,7 +267,7 @@ def _stalls(duration_s: float) -> Expected:
 
 def _unheard(config: Config, phase: Phase) -> str:
     """Expect that a drive which hears nothing is told by its time-out; one that never says it is enabled, by a jam."""
-    never_enabled = phase is Phase.IDLE and config.protocol.feedback.enabled is False
+    never_enabled = phase is Phase.IDLE and protocol_of(config).feedback.enabled is False
     return QUICK if never_enabled else DISABLED
 
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from twostage_servo.api.request_reading import parse_request
 from twostage_servo.api.requests import BadRequestError
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.assembly import build_service, drive_side
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import BusSettings, Link
@@ -145,9 +145,9 @@ class World:
     def _drive(self, loaded: LoadedConfig[Config], name: str, bus: BusSettings) -> tuple[SimulatedDrive, DriveNode]:
         """Return the simulated drive of an axis, at a node of its own."""
         settings = loaded.config.simulation
-        profile = self.service.axis_loop(loaded.config.axis.name).profile
-        drive = SimulatedDrive(settings, profile, asyncio.get_running_loop().time())
-        link = Link(bus, profile.drive_identifiers, functools.partial(self.wire.attach, name))
+        side = drive_side(loaded, self.service.axis_loop(loaded.config.axis.name).drive)
+        drive = SimulatedDrive(settings, side, asyncio.get_running_loop().time())
+        link = Link(bus, side.identifiers, functools.partial(self.wire.attach, name))
         at = self.wire.node(name)
         node = DriveNode(drive, link, settings.cycle_ms / 1e3, arrival_s=lambda: at.next_arrival_s - self.wall_offset_s)
         at.on_arrival = node.wake

@@ -11,7 +11,8 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import NO_EFFORT, Command
 from twostage_servo.axis.state import ENABLED
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.drives.dbc.profile import DriveProfile
+from twostage_servo.drives.drive import Decoder, Drive
+from twostage_servo.drives.start_up import StartUp
 from twostage_servo.service.event_log import EventLog
 from twostage_servo.service.receiver import Receiver
 from twostage_servo.service.snapshot import report_axis
@@ -33,18 +34,16 @@ class AxisLoop:
     ----------
     axis
         The axis.
-    profile
-        How its drive's frames are packed.
+    drive
+        Its drive's frames.
     period_s
         Length of a tick in s.
     recording_s
         Length of the recording in s.
-    dated
-        Whether the drive samples at a rhythm of its own, so that a frame's age dates its sample.
 
     Attributes
     ----------
-    axis, profile
+    axis, drive
         As given; a configuration that is read again gives another axis.
     bus
         The bus it is on.
@@ -62,18 +61,18 @@ class AxisLoop:
 
     bus: "BusConnection"
 
-    def __init__(
-        self, axis: Axis, profile: DriveProfile, period_s: float, recording_s: float, *, dated: bool = False
-    ) -> None:
+    def __init__(self, axis: Axis, drive: Drive, period_s: float, recording_s: float) -> None:
         self.axis = axis
-        self.profile = profile
-        self.receiver = Receiver(profile, period_s, dated=dated)
+        self.drive = drive
+        self.start_up = StartUp(drive.start_up, period_s)
+        self.receiver = Receiver(drive.traits, drive.feedback_id.identifier, period_s)
         self.recorder = Recorder(max(1, round(recording_s / period_s)))
         self.event_log = EventLog(self)
         self.command: Command = NO_EFFORT
         self.feedback_to_command = TimeHistogram()
-        self._command_counter = 0
-        self._frame: can.Message = can.Message()
+        self._frames: list[can.Message] = []
+        self._missed = 0
+        self._start_up_failure = ""
         self._sent_s: float | None = None
         self._dropped_in_a_row = 0
 
@@ -86,10 +85,14 @@ class AxisLoop:
         """Open a tick."""
         self.axis.begin_tick(tick.index, tick.missed)
         self.receiver.begin_tick(tick, self._sent_s)
+        self._missed = tick.missed
 
-    def take(self, message: can.Message) -> None:
+    def take(self, decode: Decoder, message: can.Message) -> None:
         """Take a frame of the drive, or one that only the drive should have received."""
-        self.receiver.take(message, self.axis, self.bus.link)
+        if self.start_up.is_done:
+            self.receiver.take(decode, message, self.axis, self.bus.link)
+        else:
+            self.start_up.take(message)
 
     def update(self) -> None:
         """Let the axis decide on its effort."""
@@ -99,11 +102,13 @@ class AxisLoop:
         """Pack the newest command, so that nothing but its sending is left."""
         if self.axis.state not in ENABLED:  # another axis has tripped since this one decided
             self.command = NO_EFFORT
-        self._frame = self._prepared(self.command)
+        self._frames = self._prepared(self.command)
+        if not self.start_up.is_done:
+            self._frames = self._start_up_frames() + self._frames
 
     def write(self, tick: Tick) -> None:
         """Send the newest command; one that the bus cannot take now is dropped, never kept."""
-        sent = self.bus.send(tick.index, self._frame)
+        sent = self._send(tick.index, self._frames)
         if sent is None:
             return
         self._sent_s = asyncio.get_running_loop().time() if sent else None
@@ -133,10 +138,11 @@ class AxisLoop:
         self.axis.raise_trip(TripCode.BUS_FAILED, error)
         self.axis.drive.forget()
         self.receiver.forget()
+        self.start_up.restart()
 
     def disable_drive(self, tick_index: int) -> None:
         """Tell the drive to disable, as the last thing before the service ends."""
-        if self.bus.send(tick_index, self._prepared(NO_EFFORT)) is not True:
+        if self._send(tick_index, self._prepared(NO_EFFORT)) is not True:
             text = "the drive could not be told to disable; its own time-out has to stop it"
             structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus takes no frame")
 
@@ -154,7 +160,22 @@ class AxisLoop:
         """Return the state of the axis and its bus."""
         return report_axis(self)
 
-    def _prepared(self, command: Command) -> can.Message:
-        self._command_counter += 1
-        data = self.profile.encode_command(command.effort, command.enable, self._command_counter)
-        return self.bus.link.prepare(self.profile.command_id, data)
+    def _prepared(self, command: Command) -> list[can.Message]:
+        prepare = self.bus.link.prepare
+        return [prepare(identifier, data) for identifier, data in self.drive.encode(command)]
+
+    def _send(self, tick_index: int, frames: list[can.Message]) -> bool | None:
+        """Send frames in their order; return what the bus says to the first that it does not take, else True."""
+        for frame in frames:
+            sent = self.bus.send(tick_index, frame)
+            if not sent:
+                return sent
+        return True
+
+    def _start_up_frames(self) -> list[can.Message]:
+        """Go on with the drive's start-up by a tick."""
+        frames = self.start_up.frames(self._missed)
+        if self.start_up.failure != self._start_up_failure:
+            self._start_up_failure = self.start_up.failure
+            structlog.get_logger().error("the drive does not start up", axis=self.name, error=self._start_up_failure)
+        return [self.bus.link.prepare(identifier, data) for identifier, data in frames]

@@ -2,6 +2,7 @@
 
 import asyncio
 import errno
+import functools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
@@ -53,9 +54,9 @@ class BusConnection:
         self.error: str | None = "not opened yet"
         self.observers: list[FrameObserver] = []
         self._takers = {
-            identifier.identifier: axis_loop
+            identifier.identifier: functools.partial(axis_loop.take, decode)
             for axis_loop in axis_loops
-            for identifier in (*axis_loop.profile.controller_identifiers, axis_loop.profile.command_id)
+            for identifier, decode in axis_loop.drive.decoders.items()
         }
         self._opening: asyncio.Task[None] | None = None
         self._rejected = 0
@@ -104,7 +105,7 @@ class BusConnection:
         for message in messages:
             for observe in self.observers:
                 observe(tick.index, "received", message.arbitration_id, bytes(message.data))
-            self._takers[message.arbitration_id].take(message)
+            self._takers[message.arbitration_id](message)
 
     def send(self, tick_index: int, message: can.Message) -> bool | None:
         """Send a frame of :meth:`Link.prepare`; return whether the bus has taken it, or None if the bus is gone."""

@@ -7,11 +7,9 @@ import can
 import structlog
 
 from twostage_servo.axis.drive_states import interpret
-from twostage_servo.axis.messages import Feedback
-from twostage_servo.axis.state import DRIVEN
-from twostage_servo.drives.dbc.profile import DriveProfile, PositionRejected
-from twostage_servo.drives.dbc.profile import Feedback as Reported
-from twostage_servo.drives.frame import FrameRejected
+from twostage_servo.axis.messages import DriveTraits, Feedback, ForeignCommand, Heartbeat, IndexMark, Reception
+from twostage_servo.drives.drive import Decoder
+from twostage_servo.drives.frame import FrameRejected, PositionRejected
 from twostage_servo.timing.histogram import TimeHistogram
 from twostage_servo.timing.ticks import Tick
 
@@ -30,12 +28,12 @@ class Receiver:
 
     Parameters
     ----------
-    profile
-        How the drive's frames are packed.
+    traits
+        What is known of the drive.
+    feedback_number
+        Number of the feedback's identifier.
     period_s
         Length of a tick in s.
-    dated
-        Whether the drive samples at a rhythm of its own, so that a frame's age dates its sample.
 
     Attributes
     ----------
@@ -50,9 +48,9 @@ class Receiver:
         When the latest of this tick arrived, on the loop's clock in s; None where nobody knows.
     """
 
-    def __init__(self, profile: DriveProfile, period_s: float, *, dated: bool) -> None:
-        self._profile = profile
-        self._dated = dated
+    def __init__(self, traits: DriveTraits, feedback_number: int, period_s: float) -> None:
+        self._feedback_number = feedback_number
+        self._dated = traits.sampling == "cyclic"
         self.frame_age = TimeHistogram()
         self.arrived_s: float | None = None
         self.sample_age_s: float | None = None
@@ -61,7 +59,7 @@ class Receiver:
         self._late = False
         self.drive_state: int | None = None
         # Of a heartbeat without a state, or with states that are not CiA 402's, nothing is known.
-        self._states = {value: interpret(text) for value, text in profile.traits.state_texts.items()}
+        self._states = {value: interpret(text) for value, text in traits.state_texts.items()}
         self._log = structlog.get_logger().bind(room="receiver")
 
     def begin_tick(self, tick: Tick, sent_s: float | None) -> None:
@@ -75,33 +73,31 @@ class Receiver:
         self._lateness_s = tick.lateness_s
         self._late = sent_s is not None and tick.deadline_s + tick.lateness_s - sent_s > _PATIENCE * self._period_s
 
-    def take(self, message: can.Message, axis: "Axis", link: "Link") -> None:
+    def take(self, decode: Decoder, message: can.Message, axis: "Axis", link: "Link") -> None:
         """Take one frame to the axis; a command to the drive that is not ours is a second controller.
 
         The link that brought it knows its age, and counts what is rejected.
         """
-        profile = self._profile
         try:
-            if profile.is_feedback(message):
-                self._take(profile.decode_feedback(message), message, axis, link)
-            elif profile.is_heartbeat(message):
-                heartbeat = profile.decode_heartbeat(message)
-                self.drive_state = heartbeat.state
-                state = None if heartbeat.state is None else self._states.get(heartbeat.state)
-                axis.take_heartbeat(heartbeat.boot_counter, state, late=self._is_late(message, link))
-            elif profile.is_index(message):
-                axis.drive.take_index(profile.decode_index(message).position)
-            elif profile.is_command(message):
-                self._take_foreign(message, axis)
-            else:
-                profile.decode_command(message)  # which says what it is instead
+            report = decode(message)
         except FrameRejected as rejection:
             link.counters.count_rejection(rejection.reason)
-            if isinstance(rejection, PositionRejected):
-                self._take(rejection.feedback, message, axis, link)
-            elif profile.is_feedback(message):
-                axis.drive.monitor.reject()
             self._log.debug("frame rejected", reason=rejection.reason, text=rejection)
+            if isinstance(rejection, PositionRejected):
+                axis.take_feedback(rejection.feedback, self._reception(message, link))
+            elif message.arbitration_id == self._feedback_number:
+                axis.drive.monitor.reject()
+            return
+        if isinstance(report, Feedback):
+            axis.take_feedback(report, self._reception(message, link))
+        elif isinstance(report, Heartbeat):
+            self.drive_state = report.state
+            state = None if report.state is None else self._states.get(report.state)
+            axis.take_heartbeat(report.boot_counter, state, late=self._is_late(message, link))
+        elif isinstance(report, IndexMark):
+            axis.drive.take_index(report.position)
+        elif report is not None:
+            _take_foreign(report, axis)
 
     def forget(self) -> None:
         """Start afresh, as after the bus was lost."""
@@ -112,52 +108,25 @@ class Receiver:
         waited_s = link.waited_s(message)
         return link.is_behind or (waited_s is not None and waited_s > _LATE_PERIODS * self._period_s)
 
-    def _take(self, feedback: Reported, message: can.Message, axis: "Axis", link: "Link") -> None:
+    def _reception(self, message: can.Message, link: "Link") -> Reception:
+        """Date a frame of feedback."""
         age_s = link.age_s(message)
         if age_s is not None:
             self.frame_age.add(age_s)
             self.arrived_s = asyncio.get_running_loop().time() - age_s
-        faulty = (
-            feedback.fault
-            or (feedback.fault is None and feedback.fault_code)
-            or (feedback.command_timeout and axis.state in DRIVEN)
-        )
-        axis.take_feedback(
-            Feedback(
-                feedback.position,
-                feedback.counter,
-                feedback.enabled,
-                (feedback.fault_code or 0) if faulty else None,
-                feedback.safe_torque_off,
-                feedback.positive_limit,
-                feedback.negative_limit,
-                feedback.home_switch,
-                self._dated_age_s(age_s) if self._dated else self.sample_age_s,
-                unasked=self._late and not self._dated,
-                late=self._is_late(message, link),
-                faulted=_tells_fault(feedback),
-            )
-        )
-
-    def _take_foreign(self, message: can.Message, axis: "Axis") -> None:
-        """Take a command that is not ours to the axis, with what it asks for as far as that can be read."""
-        frame = f"{self._profile.command_id} [{message.data.hex(' ')}]"
-        try:
-            effort, enable, _ = self._profile.decode_command(message)
-        except FrameRejected as rejection:
-            axis.take_foreign_command(f"{frame}, which is no valid command ({rejection.reason})")
-            return
-        enables = effort != 0.0 if enable is None else enable
-        asks = f"asks for an effort of {effort:.4g} {axis.settings.effort_unit}" if enables else "disables the drive"
-        axis.take_foreign_command(f"{frame}, which {asks}", enables=enables)
-
-    def _dated_age_s(self, age_s: float | None) -> float | None:
-        return None if age_s is None else age_s - self._lateness_s
+        if self._dated:
+            sampled_s = None if age_s is None else age_s - self._lateness_s
+            return Reception(sampled_s, False, self._is_late(message, link))
+        return Reception(self.sample_age_s, self._late, self._is_late(message, link))
 
 
-def _tells_fault(feedback: Reported) -> bool | None:
-    """Return whether the drive says that it has a fault; None where it does not tell, or tells a time-out alone."""
-    told = feedback.fault
-    if told is None and feedback.fault_code is not None:
-        told = feedback.fault_code != 0
-    return None if feedback.command_timeout and not told else told
+def _take_foreign(foreign: ForeignCommand, axis: "Axis") -> None:
+    """Take a command that is not ours to the axis, with what it asks for as far as that can be read."""
+    command = foreign.command
+    if command is None:
+        axis.take_foreign_command(f"{foreign.frame}, which is no valid command ({foreign.rejected})")
+        return
+    enables = command.effort != 0.0 if command.enable is None else command.enable
+    unit = axis.settings.effort_unit
+    asks = f"asks for an effort of {command.effort:.4g} {unit}" if enables else "disables the drive"
+    axis.take_foreign_command(f"{foreign.frame}, which {asks}", enables=enables)

@@ -2,6 +2,7 @@
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 from math import inf, isfinite
 from random import Random
@@ -9,9 +10,9 @@ from typing import Any
 
 import can
 
-from twostage_servo.canbus.identifier import Identifier
-from twostage_servo.drives.dbc.profile import DriveProfile, Feedback, Heartbeat, Index
-from twostage_servo.drives.frame import FrameRejected
+from twostage_servo.axis.messages import Feedback, Heartbeat, IndexMark
+from twostage_servo.drives.drive import DriveSide
+from twostage_servo.drives.frame import FrameRejected, SentFrame
 from twostage_servo.simulation.drive_counters import DriveCounters
 from twostage_servo.simulation.encoder import Encoder
 from twostage_servo.simulation.faults import DriveFaults
@@ -56,8 +57,8 @@ class SimulatedDrive:
     ----------
     settings : SimulationSettings
         The true plant and what goes wrong with it.
-    profile : DriveProfile
-        Layout of the frames.
+    side : DriveSide
+        The drive's end of its frames.
     start_s : float
         Present time, on the clock of all later calls, which must not run backwards.
     boot_counter : int, optional
@@ -69,14 +70,12 @@ class SimulatedDrive:
         What the drive has seen so far.
     """
 
-    def __init__(
-        self, settings: SimulationSettings, profile: DriveProfile, start_s: float, boot_counter: int = 0
-    ) -> None:
+    def __init__(self, settings: SimulationSettings, side: DriveSide, start_s: float, boot_counter: int = 0) -> None:
         self.counters = DriveCounters()
         self._settings = settings
-        self._profile = profile
-        self._heartbeat_id = profile.heartbeat_id
-        self._index_id = None if settings.index_at is None else profile.index_id
+        self._side = side
+        self._has_heartbeat = side.has_heartbeat
+        self._has_index = settings.index_at is not None and side.has_index
         self._boot_counter = boot_counter
         self._axis = TrueAxis(settings, start_s)
         self._encoder = Encoder(settings)
@@ -126,9 +125,9 @@ class SimulatedDrive:
         """When the next :meth:`cycle` is needed, if no command comes before; s, in the past where one is needed now."""
         if self._booted_s != inf:
             return self._booted_s
-        if self._feedback_asked or self._index_id is not None:  # a mark may be passed in any cycle
+        if self._feedback_asked or self._has_index:  # a mark may be passed in any cycle
             return -inf
-        heartbeat_s = inf if self._heartbeat_id is None else self._heartbeat_timer.due_s
+        heartbeat_s = self._heartbeat_timer.due_s if self._has_heartbeat else inf
         return min(self._feedback_timer.due_s, heartbeat_s)
 
     @property
@@ -229,9 +228,11 @@ class SimulatedDrive:
         if self._is_lost():
             return
         try:
-            command = self._profile.decode_command(message)
+            command = self._side.decode(message)
         except FrameRejected:
             self.counters.rejected += 1
+            return
+        if command is None:
             return
         if command.counter is not None and command.counter == self._command_counter:
             self.counters.stale += 1
@@ -252,22 +253,16 @@ class SimulatedDrive:
             self._enabled = True
             self._arriving.append((now_s + self._delay_s, command.effort))
 
-    def cycle(self, now_s: float) -> list[tuple[Identifier, bytes]]:
-        """Run one firmware cycle.
-
-        Returns
-        -------
-        list of (identifier, data)
-            The frames that the drive sends now.
-        """
+    def cycle(self, now_s: float) -> list[SentFrame]:
+        """Run one firmware cycle; return the frames that the drive sends now."""
         self._now_s = now_s
-        frames: list[tuple[Identifier, bytes]] = []
+        frames: list[SentFrame] = []
         if self._booted_s != inf and self._is_booting():
             return frames
-        if self._index_id is not None:
+        if self._has_index:
             self._advance()
             if (mark := self._axis.take_passed_mark()) is not None:
-                frames.append((self._index_id, self._index(mark)))
+                frames += self._index(mark)
         if self._feedback_asked or now_s >= self._feedback_timer.due_s:
             if self._feedback_asked:
                 # Silence is noticed a little after the period, so that a command which is due just now can come first.
@@ -277,20 +272,20 @@ class SimulatedDrive:
                 self._feedback_asked = False
             else:
                 self._feedback_timer.restart_period(now_s)
-            frames.append((self._profile.feedback_id, self._feedback()))
-        if self._heartbeat_id is not None and now_s >= self._heartbeat_timer.due_s:
+            frames += self._feedback()
+        if self._has_heartbeat and now_s >= self._heartbeat_timer.due_s:
             self._heartbeat_timer.restart_period(now_s)
             if not self._faults.heartbeat_silent:
-                frames.append((self._heartbeat_id, self._heartbeat()))
+                frames += self._heartbeat()
         return [frame for frame in frames if not self._is_lost()]
 
-    def _feedback(self) -> bytes:
+    def _feedback(self) -> Sequence[SentFrame]:
         self._advance()
         self.counters.samples += 1
         axis, faults, code = self._axis, self._faults, self._fault_code
         if not faults.frozen_counter:
-            self._feedback_counter = (self._feedback_counter + 1) % self._profile.traits.counter_modulus
-        return self._profile.encode_feedback(
+            self._feedback_counter += 1
+        return self._side.feedback(
             Feedback(
                 position=self._encoder.sample(axis.position, faults.measure),
                 counter=self._feedback_counter,
@@ -305,11 +300,11 @@ class SimulatedDrive:
             )
         )
 
-    def _index(self, mark: float) -> bytes:
-        self._index_counter = (self._index_counter + 1) % self._profile.index_counter_modulus
-        return self._profile.encode_index(Index(self._encoder.latch(mark, self._faults.measure), self._index_counter))
+    def _index(self, mark: float) -> Sequence[SentFrame]:
+        self._index_counter += 1
+        return self._side.index(IndexMark(self._encoder.latch(mark, self._faults.measure), self._index_counter))
 
-    def _heartbeat(self) -> bytes:
+    def _heartbeat(self) -> Sequence[SentFrame]:
         self._advance()
         if self._faults.heartbeat_state is not None:
             state = self._faults.heartbeat_state
@@ -319,7 +314,7 @@ class SimulatedDrive:
             state = FAULT
         else:
             state = SWITCH_ON_DISABLED if self._faults.safe_torque_off else READY_TO_SWITCH_ON
-        return self._profile.encode_heartbeat(Heartbeat(state, self._boot_counter))
+        return self._side.heartbeat(Heartbeat(state, self._boot_counter))
 
     def _is_booting(self) -> bool:
         self._advance()

@@ -3,70 +3,19 @@
 import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Final, NamedTuple, Self
+from typing import Final, Self
 
-from twostage_servo.axis.messages import DriveTraits
+from twostage_servo.axis.messages import Command, DriveTraits, Feedback, Heartbeat, IndexMark
 from twostage_servo.drives.dbc.compiler import ABSENT, Compiler
 from twostage_servo.drives.dbc.settings import (
     ProtocolSettings,
 )
 from twostage_servo.drives.dbc.signal_codec import SignalCodec, UndecodableValue
-from twostage_servo.drives.frame import FrameRejected, ReceivedFrame
+from twostage_servo.drives.frame import FrameRejected, PositionRejected, ReceivedFrame
 from twostage_servo.drives.protocol_error import ProtocolError
 
 LARGEST_POSITION: Final = 1e9
 """Largest magnitude of a position that is believed, axis units: what a set-point may be at most."""
-
-
-class Feedback(NamedTuple):
-    """What the drive reports every period; None where the drive has no such signal. The position is in axis units."""
-
-    position: float
-    counter: int | None
-    enabled: bool | None
-    fault: bool | None
-    fault_code: int | None
-    command_timeout: bool | None = None
-    safe_torque_off: bool | None = None
-    positive_limit: bool | None = None
-    negative_limit: bool | None = None
-    home_switch: bool | None = None
-
-
-class Command(NamedTuple):
-    """What the controller asks for; None where the drive has no such signal. The effort is in the drive's unit."""
-
-    effort: float
-    enable: bool | None
-    counter: int | None
-
-
-class PositionRejected(FrameRejected):
-    """A feedback whose position must not be used, though the frame is whole: a drive without encoder still has a state.
-
-    Attributes
-    ----------
-    feedback : Feedback
-        What else the frame says; its position is NaN.
-    """
-
-    def __init__(self, reason: str, message: ReceivedFrame, detail: str, feedback: Feedback) -> None:
-        super().__init__(reason, message, detail)
-        self.feedback = feedback
-
-
-class Index(NamedTuple):
-    """Position, in axis units, that the encoder latched at its index mark; no counter where the drive has none."""
-
-    position: float
-    counter: int | None
-
-
-class Heartbeat(NamedTuple):
-    """State of the drive's state machine and count of its boots; None where the drive has no such signal."""
-
-    state: int | None
-    boot_counter: int | None
 
 
 class DriveProfile:
@@ -140,8 +89,8 @@ class DriveProfile:
         self._feedback_encoders = tuple(feedback[role].encode for role in Feedback._fields)
         self._command_decoders = tuple(command[role].decode for role in Command._fields)
         self._command_encoders = tuple(command[role].encode for role in Command._fields)
-        self._index_decoders = tuple(index[role].decode for role in Index._fields)
-        self._index_encoders = tuple(index[role].encode for role in Index._fields)
+        self._index_decoders = tuple(index[role].decode for role in IndexMark._fields)
+        self._index_encoders = tuple(index[role].encode for role in IndexMark._fields)
         self._heartbeat_decoders = tuple(heartbeat[role].decode for role in Heartbeat._fields)
         self._heartbeat_encoders = tuple(heartbeat[role].encode for role in Heartbeat._fields)
 
@@ -193,7 +142,7 @@ class DriveProfile:
         """Whether the frame has the number of the heartbeat; :meth:`decode_heartbeat` judges the rest."""
         return self.heartbeat_id is not None and message.arbitration_id == self.heartbeat_id.identifier
 
-    def encode_command(self, effort: float, enable: bool, counter: int) -> bytes:
+    def encode_command(self, effort: float, enable: bool | None, counter: int) -> bytes:
         """Make the data of a command.
 
         Raises
@@ -205,7 +154,7 @@ class DriveProfile:
         return self._command.data(
             self._constants
             | encode_effort(effort)
-            | encode_enable(enable)
+            | encode_enable(enable or False)
             | encode_counter(counter % self.command_counter_modulus)
         )
 
@@ -266,7 +215,7 @@ class DriveProfile:
             raise PositionRejected(lost.reason, message, str(lost), feedback) from lost
         return feedback
 
-    def encode_index(self, index: Index) -> bytes:
+    def encode_index(self, index: IndexMark) -> bytes:
         """Make the data of an index message, as the drive does. None counts as 0, NaN as an invalid position.
 
         Raises
@@ -280,13 +229,13 @@ class DriveProfile:
             index = index._replace(counter=index.counter % self.index_counter_modulus)
         return self._index.data(_encode(self._index_encoders, index))
 
-    def decode_index(self, message: ReceivedFrame) -> Index:
+    def decode_index(self, message: ReceivedFrame) -> IndexMark:
         """Read an index message."""
         if self._index is None:
             raise FrameRejected("identifier", message, "this drive has no index message")
         word = self._index.word(message)
         try:
-            index = Index._make([decode(word) for decode in self._index_decoders])
+            index = IndexMark._make([decode(word) for decode in self._index_decoders])
             _check_position(index.position)
         except UndecodableValue as error:
             raise FrameRejected(error.reason, message, str(error)) from error

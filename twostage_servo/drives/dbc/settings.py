@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
+from twostage_servo.drives.settings import DriveSettings
 from twostage_servo.settings.base import Settings, quantity
 
 Role = str | Literal[False]
@@ -84,7 +85,7 @@ class HeartbeatSettings(Settings):
     boot_counter: Role = Field("BootCounter", description="Signal that changes when the drive boots; false: none")
 
 
-class ProtocolSettings(Settings):
+class ProtocolSettings(DriveSettings):
     """Protocol of the drive; the defaults are those of the shipped ``servo_drive.dbc``."""
 
     dbc: str = Field(
