@@ -84,7 +84,7 @@ def test_python_control_designs_the_same_poles_in_other_units(length: float, tim
         sampled = control.sample_system(continuous, tick_s, method="zoh")
         a = np.block([[sampled.A, np.zeros((2, 1))], [-sampled.C, np.eye(1)]])
         b = np.vstack([sampled.B, [[0.0]]])
-        ratio, observer = axis.law.performance_index_ratio, axis.observer
+        ratio, observer = axis.law.paper.performance_index_ratio, axis.observer
         _, _, servo = control.dlqr(a, b, ratio * np.diag([1.0, 0.0, 1.0]), np.eye(1))
         extended = np.block([[sampled.A, sampled.B], [np.zeros((1, 2)), np.eye(1)]])
         process = np.diag([observer.position_variance, observer.velocity_variance, observer.disturbance_variance])

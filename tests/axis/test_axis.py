@@ -517,7 +517,7 @@ def test_after_a_result_that_is_no_number_the_observer_starts_afresh() -> None:
 
 
 def test_a_drive_mounted_the_other_way_round() -> None:
-    turned = axis_settings().model_dump()
+    turned = axis_settings().model_dump(exclude_unset=True)
     turned["plant"]["gain"] = -180.0
     axis = Axis(design_axis(AxisSettings.model_validate(turned), PERIOD_S), DriveTraits(counter_modulus=16))
     rig = AxisRig(axis, Plant(-180.0, 14.0)).cruising(for_s=8.0)
@@ -531,8 +531,8 @@ def test_a_drive_mounted_the_other_way_round() -> None:
 
 def changed(path: str, value: object) -> AxisSettings:
     table, key = path.split(".")
-    settings_dump = axis_settings().model_dump()
-    settings_dump[table][key] = value
+    settings_dump = axis_settings().model_dump(exclude_unset=True)
+    settings_dump.setdefault(table, {})[key] = value
     return AxisSettings.model_validate(settings_dump)
 
 

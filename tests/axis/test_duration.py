@@ -25,7 +25,7 @@ def transcribed_duration_s(distance: float, velocity: float) -> float:
     """The paper's law on its own model, without a ramp: when it is within the window for good, plus the ramp's time."""
     plant = DESIGN.plant
     law = TranscribedLaw(
-        plant, DESIGN.settings.law.performance_index_ratio, DESIGN.settings.observer.measurement_variance
+        plant, DESIGN.settings.law.paper.performance_index_ratio, DESIGN.settings.observer.measurement_variance
     )
     law.set_target(distance, velocity)
     position = speed = effort = 0.0

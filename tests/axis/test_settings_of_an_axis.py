@@ -10,19 +10,19 @@ from twostage_servo.axis.settings import (
     ApproachSettings,
     AxisSettings,
     HomingSettings,
-    LawSettings,
     LimitSettings,
     ObserverSettings,
     PlantSettings,
     WindowSettings,
 )
+from twostage_servo.control.laws.paper_type import PaperSettings
 from twostage_servo.settings.base import Settings
 
 NUMBERS: dict[type[Settings], str] = {
     PlantSettings: """
         gain                                 >= -1e9  <= 1e9
         pole                                 >= 0.001 <= 10000""",
-    LawSettings: """
+    PaperSettings: """
         performance_index_ratio    = 0.00005 >= 1e-12 <= 1e6""",
     ObserverSettings: """
         position_variance          = 0.1     >= 0     <= 1e9

@@ -111,7 +111,7 @@ EXAMPLE = design_of("example2.toml")
 
 
 def example_with(deceleration: float, effort_rate: float) -> AxisDesign:
-    tables = EXAMPLE.settings.model_dump()
+    tables = EXAMPLE.settings.model_dump(exclude_unset=True)
     tables["limits"] |= {
         "acceleration": deceleration, "quick_stop_deceleration": deceleration, "effort_rate": effort_rate,
     }  # fmt: skip

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.control.laws import law
 from twostage_servo.control.laws.law import ControlTask, Law, LawDesign
-from twostage_servo.control.laws.paper_design import design_paper
+from twostage_servo.control.laws.registry import PAPER, law_type
 from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, KalmanGain, NoiseModel, kalman_gain
 from twostage_servo.control.plant import MODEL_ERROR, DiscretePlant, Plant, Triple
@@ -160,10 +160,17 @@ def design_axis(settings: AxisSettings, period_s: float) -> AxisDesign:
         rest_velocity=REST_SHARE * limits.velocity,
     )
     try:
-        designed = design_paper(settings.law.performance_index_ratio, task)
+        designed = law_type(settings.law.type).design(settings.law.keys, task)
     except law.DesignError as error:
-        raise DesignError(("axis", "law", *error.key), str(error)) from error
+        raise DesignError(("axis", "law", *_place(settings, error.key)), str(error)) from error
     return AxisDesign(settings, period_s, sampled, noise, kalman, designed)
+
+
+def _place(settings: AxisSettings, key: tuple[str, ...]) -> tuple[str, ...]:
+    """Return where a key of the law stands, below ``axis.law``."""
+    if settings.law.type == PAPER and key == ("performance_index_ratio",):
+        return settings.law.place_of_ratio
+    return settings.law.type, *key
 
 
 def _check_cruise(settings: AxisSettings, plant: Plant) -> None:

@@ -9,7 +9,7 @@ from twostage_servo.config.document import Document
 from twostage_servo.config.errors import Problem
 from twostage_servo.config.toml_lines import Path
 from twostage_servo.settings.base import Settings
-from twostage_servo.settings.reference import Located, describe, locate, row, table_of
+from twostage_servo.settings.reference import Located, describe, fields_of, locate, row, table_of
 from twostage_servo.settings.toml_text import key_text
 
 _LONGEST_KEY_LIST = 24
@@ -54,7 +54,7 @@ def _message(details: ErrorDetails, located: Located, model: type[Settings]) -> 
 
 def _unknown_key_message(path: Path, located: Located, model: type[Settings]) -> str:
     table = table_of(located.annotation)
-    names = list(table.model_fields) if table is not None else []
+    names = list(fields_of(table)) if table is not None else []
     unknown = str(path[-1])
     near = [key_text((*located.path, name)) for name in difflib.get_close_matches(unknown, names, n=3)]
     elsewhere = [setting.key for setting in describe(model) if setting.key.rpartition(".")[2] == unknown]

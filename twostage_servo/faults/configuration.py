@@ -86,7 +86,7 @@ class ConfigurationFaults:
 
     def _fragile(self, loaded: LoadedConfig[Config]) -> Callable[[], LoadedConfig[Config]]:
         """Look for the largest Q/R that is not refused as unstable: just below, the loop is fragile."""
-        low = loaded.config.axis.law.performance_index_ratio
+        low = loaded.config.axis.law.paper.performance_index_ratio
         high = 1e6
         for _ in range(_STEPS):
             middle = (low * high) ** 0.5

@@ -5,6 +5,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field
+from pydantic.fields import FieldInfo
 
 
 class Settings(BaseModel):
@@ -21,6 +22,11 @@ class Settings(BaseModel):
     model_config = ConfigDict(
         extra="forbid", frozen=True, strict=True, allow_inf_nan=False, validate_default=True, hide_input_in_errors=False
     )
+
+    @classmethod
+    def all_fields(cls) -> Mapping[str, FieldInfo]:
+        """Return all keys that the table may have; more than its own where others may add to it."""
+        return cls.model_fields
 
 
 def quantity(default: Any = ..., *, unit: str, description: str, **bounds: Any) -> Any:

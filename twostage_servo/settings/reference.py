@@ -10,6 +10,7 @@ import annotated_types
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from twostage_servo.settings.base import Settings
 from twostage_servo.settings.toml_text import key_text, value_text
 
 _TYPE_TEXTS: Mapping[Any, str] = {
@@ -91,7 +92,7 @@ def describe(model: type[BaseModel]) -> list[Row]:
 
 
 def _rows(model: type[BaseModel], path: tuple[str, ...]) -> Iterator[Row]:
-    for name, field in model.model_fields.items():
+    for name, field in fields_of(model).items():
         table = table_of(field.annotation)
         if table is None:
             yield row(Located((*path, name), field.annotation, field))
@@ -113,7 +114,7 @@ def locate(model: type[BaseModel], path: Sequence[str | int]) -> Located:
     for part in path:
         table = table_of(found.annotation)
         if table is not None:
-            field = table.model_fields.get(str(part))
+            field = fields_of(table).get(str(part))
             if field is None:
                 break
             found = Located((*found.path, part), field.annotation, field)
@@ -143,6 +144,11 @@ def row(located: Located) -> Row:
         pattern=pattern,
         description=description,
     )
+
+
+def fields_of(model: type[BaseModel]) -> Mapping[str, FieldInfo]:
+    """Return all keys that a table may have."""
+    return model.all_fields() if issubclass(model, Settings) else model.model_fields
 
 
 def table_of(annotation: Any) -> type[BaseModel] | None:

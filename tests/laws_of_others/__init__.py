@@ -1,0 +1,37 @@
+"""A law as another package brings it, in a distribution that is made for a test."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from twostage_servo.axis import settings
+from twostage_servo.control.laws import registry
+
+HERE = Path(__file__).parent
+
+
+def forget_laws() -> None:
+    """Let the laws be looked for anew."""
+    registry.law_type.cache_clear()
+    settings._with_tables.cache_clear()
+
+
+def install(folder: Path, entry_points: str) -> None:
+    """Put a distribution with the law of this folder into another one."""
+    shutil.copy(HERE / "cascade_law.py", folder)
+    information = folder / "cascade_law-1.0.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: cascade-law\nVersion: 1.0\n", encoding="utf-8")
+    (information / "entry_points.txt").write_text(f"[{registry.GROUP}]\n{entry_points}\n", encoding="utf-8")
+
+
+@pytest.fixture
+def cascade(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Install the law `cascade` for a test."""
+    install(tmp_path, "cascade = cascade_law:LAW")
+    monkeypatch.syspath_prepend(tmp_path)
+    forget_laws()
+    yield
+    forget_laws()
