@@ -29,6 +29,25 @@ def test_crc_gives_the_published_check_value_when_the_data_id_is_the_first_two_d
     assert crc8_j1850(int.from_bytes(b"12", "little"), b"3456789") == 0x4B
 
 
+@pytest.mark.parametrize(
+    ("data", "crc"),
+    [
+        ("00000000", 0x59),
+        ("f20183", 0x37),
+        ("0faa0055", 0x79),
+        ("00ff5511", 0xB8),
+        ("332255aabbccddeeff", 0xCB),
+        ("926b55", 0x8C),
+        ("ffffffff", 0x74),
+    ],
+)
+def test_crc_gives_the_values_that_autosar_publishes(data: str, crc: int) -> None:
+    """Specification of CRC routines, CRC8 (SAE J1850): its table of examples; the first two bytes are the data id."""
+    content = bytes.fromhex(data)
+    assert crc8_bit_by_bit(content) == crc
+    assert crc8_j1850(int.from_bytes(content[:2], "little"), content[2:]) == crc
+
+
 @given(IDENTIFIERS, BYTES)
 def test_crc_covers_the_low_16_bits_of_the_identifier_and_the_data(identifier: int, data: bytes) -> None:
     assert crc8_j1850(identifier, data) == crc8_bit_by_bit((identifier & 0xFFFF).to_bytes(2, "little") + data)

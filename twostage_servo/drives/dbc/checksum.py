@@ -3,21 +3,10 @@
 from collections.abc import Callable
 from typing import Final, TypeAlias
 
+from fastcrc.crc8 import sae_j1850
+
 Checksum: TypeAlias = Callable[[int, bytes | bytearray], int]
 """``checksum(identifier, data without the checksum byte) -> 0..255``."""
-
-
-def _crc8_table(polynomial: int) -> tuple[int, ...]:
-    table = []
-    for byte in range(256):
-        crc = byte
-        for _ in range(8):
-            crc = (crc << 1) ^ polynomial if crc & 0x80 else crc << 1
-        table.append(crc & 0xFF)
-    return tuple(table)
-
-
-_TABLE: Final = _crc8_table(0x1D)
 
 
 def crc8_j1850(identifier: int, data: bytes | bytearray) -> int:
@@ -38,11 +27,7 @@ def crc8_j1850(identifier: int, data: bytes | bytearray) -> int:
     int
         The checksum byte.
     """
-    table = _TABLE
-    crc = table[table[0xFF ^ (identifier & 0xFF)] ^ (identifier >> 8 & 0xFF)]
-    for byte in data:
-        crc = table[crc ^ byte]
-    return crc ^ 0xFF
+    return sae_j1850((identifier & 0xFFFF).to_bytes(2, "little") + data)
 
 
 def xor8(identifier: int, data: bytes | bytearray) -> int:  # noqa: ARG001 - one signature for all
