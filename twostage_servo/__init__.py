@@ -1,3 +1,55 @@
-"""Two-stage servo control over CAN for Linux."""
+"""Two-stage servo control over CAN for Linux.
+
+``connect()`` and ``connect_async()`` are clients of a running service, in the standard library alone.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from twostage_servo.client.asynchronous import AsyncServoClient, connect_async
+    from twostage_servo.client.blocking import ServoClient, connect
+    from twostage_servo.client.errors import (
+        ConfigError,
+        Interrupted,
+        Refused,
+        ServoError,
+        TimedOut,
+        Tripped,
+        Unreachable,
+    )
+
+__all__ = [
+    "AsyncServoClient",
+    "ConfigError",
+    "Interrupted",
+    "Refused",
+    "ServoClient",
+    "ServoError",
+    "TimedOut",
+    "Tripped",
+    "Unreachable",
+    "__version__",
+    "connect",
+    "connect_async",
+]
 
 __version__ = "0.1.0"
+
+_HOMES = {
+    "AsyncServoClient": "asynchronous",
+    "connect_async": "asynchronous",
+    "ServoClient": "blocking",
+    "connect": "blocking",
+}
+"""Where the public names are; those of no mention are errors."""
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name when it is first used: the command line must start without a client."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import importlib  # noqa: PLC0415
+
+    module = importlib.import_module(f"twostage_servo.client.{_HOMES.get(name, 'errors')}")
+    value = globals()[name] = getattr(module, name)
+    return value

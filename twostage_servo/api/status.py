@@ -326,3 +326,24 @@ class Status:
             report = AxisReport.from_json(fields)
             axes = {report.axis.name: report}
         return cls(ServiceStatus.from_json(fields), axes)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The last ticks, or those before the trip.
+
+    Attributes
+    ----------
+    fields
+        Names of what is recorded of a tick.
+    records
+        The ticks, oldest first, each with its values in this order; None for what is not known.
+    """
+
+    fields: list[str]
+    records: list[list[float | int | str | bool | None]]
+
+    @classmethod
+    def from_json(cls, fields: JsonObject) -> Self:
+        """Return the recording that an object of JSON is."""
+        return cls(list(fields["fields"]), list(fields["records"]))
