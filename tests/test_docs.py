@@ -29,7 +29,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 CONTROL_SOCKET = (ROOT / "docs" / "control-socket.md").read_text(encoding="utf-8")
 OPERATING = (ROOT / "docs" / "operations.md").read_text(encoding="utf-8")
 SYMPTOMS = sorted((ROOT / "docs" / "symptoms").glob("*.md"))
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), *SYMPTOMS]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")), *SYMPTOMS]
 
 ANOTHER_DRIVE = """
 VERSION ""

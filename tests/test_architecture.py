@@ -1,0 +1,50 @@
+"""The page on the architecture says what is there: its paths, its rooms, its picture."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tools.rooms import draw
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]["contracts"]
+
+
+def section(title: str) -> str:
+    return PAGE.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+
+
+def rows(title: str) -> list[list[str]]:
+    lines = [line for line in section(title).splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[1:]]
+
+
+@pytest.mark.parametrize(
+    "path", sorted(set(re.findall(r"`((?:twostage_servo|tools|tests|docs|config)/[\w./-]*)`", PAGE)))
+)
+def test_every_path_exists(path: str) -> None:
+    assert (ROOT / path).exists()
+
+
+def test_the_rooms_are_those_of_the_contract_in_their_order() -> None:
+    (layers,) = [contract["layers"] for contract in CONTRACTS if contract["id"] == "rooms"]
+    assert [cells[0].strip("`") for cells in rows("Rooms")] == [layer.strip("()") for layer in layers]
+
+
+def test_each_of_ten_changes_names_a_place() -> None:
+    changes = rows("Where a change belongs")
+    assert len(changes) == 10
+    for change, begin, then in changes:
+        assert re.search(r"`(twostage_servo|tools)/", begin), change
+        assert then, change
+
+
+def test_an_arrow_that_follows_from_others_is_left_out() -> None:
+    shown = draw.arrows(draw.rooms())
+    assert ("config", "service") in shown
+    assert ("cli", "settings") not in shown
+    upper = {one for one, _ in shown}
+    assert {"cli", "app", "service", "axis"} <= upper

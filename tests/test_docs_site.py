@@ -1,0 +1,48 @@
+"""What the docs site turns: links to and from the pages at the top of the tree, and equations."""
+
+import pytest
+
+pytest.importorskip("mkdocs", reason="it comes with the extra docs")
+
+from tools.docs_site.hooks import from_top, to_top, typeset
+
+
+@pytest.mark.parametrize(
+    ("link", "page"),
+    [
+        ("docs/states.md#limits", "states.md#limits"),
+        ("docs/pictures/move.svg", "pictures/move.svg"),
+        ("CONTRIBUTING.md", "contributing.md"),
+        ("CHANGELOG.md#unreleased", "changelog.md#unreleased"),
+        ("#your-own-axis", "#your-own-axis"),
+        ("https://semver.org/", "https://semver.org/"),
+    ],
+)
+def test_a_link_of_a_file_at_the_top_leads_to_the_page(link: str, page: str) -> None:
+    assert from_top(link) == page
+
+
+@pytest.mark.parametrize(
+    ("link", "page"),
+    [
+        ("../README.md#your-own-axis", "index.md#your-own-axis"),
+        ("../../README.md", "../index.md"),
+        ("../CHANGELOG.md", "changelog.md"),
+        ("README.md", "README.md"),
+        ("../states.md#x", "../states.md#x"),
+        ("law.md", "law.md"),
+        ("#here", "#here"),
+    ],
+)
+def test_a_link_of_a_page_to_a_file_at_the_top_leads_to_its_page(link: str, page: str) -> None:
+    assert to_top(link) == page
+
+
+def test_an_equation_is_typeset_with_its_number_beside_it() -> None:
+    block = typeset(r"a_{12} = \frac{1 - a_{22}}{p} \tag{1}", block=True)
+    assert block.startswith("<math")
+    assert 'display="block"' in block
+    assert "<mfrac>" in block
+    assert block.endswith('<p class="equation-number">(1)</p>')
+    assert "tag" not in block
+    assert 'display="inline"' in typeset("u", block=False)

@@ -1,0 +1,62 @@
+"""Hooks of MkDocs: pages from the top of the tree, and equations without a script in the reader's browser.
+
+README.md, CONTRIBUTING.md and CHANGELOG.md stay where everybody looks for them; here they become pages of the site, and
+links to and from them are turned. Equations become MathML as the page is built.
+"""
+
+import html
+import re
+from pathlib import Path
+from typing import Final
+
+from latex2mathml.converter import convert
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+TREE: Final = Path(__file__).resolve().parents[2]
+PAGES: Final = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
+"""Files at the top of the tree, and the pages that they become."""
+
+_LINK: Final = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
+_EQUATION: Final = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
+_TAG: Final = re.compile(r"\\tag\{([^}]*)\}")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the pages from the top of the tree."""
+    for name, page in PAGES.items():
+        text = (TREE / name).read_text(encoding="utf-8")
+        files.append(File.generated(config, page, content=_LINK.sub(lambda link: from_top(link[1]), text)))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001 - MkDocs' own
+    """Turn a page's links to files at the top of the tree."""
+    return _LINK.sub(lambda link: to_top(link[1]), markdown)
+
+
+def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001 - likewise
+    """Typeset a page's equations."""
+    return _EQUATION.sub(lambda found: typeset(html.unescape(found[2]), block=found[1] == "div"), content)
+
+
+def from_top(link: str) -> str:
+    """Return what a link of a file at the top of the tree is on the site."""
+    path, mark, place = link.partition("#")
+    return PAGES.get(path, path.removeprefix("docs/")) + mark + place
+
+
+def to_top(link: str) -> str:
+    """Return what a link to a file at the top of the tree is on the site."""
+    path, mark, place = link.partition("#")
+    steps, name = path[: path.rfind("../") + 3] if "../" in path else "", path.rpartition("../")[2]
+    # A page in docs/ leaves it by its last step up.
+    return f"{steps.removesuffix('../')}{PAGES[name]}{mark}{place}" if steps and name in PAGES else link
+
+
+def typeset(latex: str, *, block: bool) -> str:
+    """Return an equation as MathML, its number beside it."""
+    tags = _TAG.findall(latex)
+    mathematics: str = convert(_TAG.sub("", latex).strip(), display="block" if block else "inline")
+    return mathematics + "".join(f'<p class="equation-number">({tag})</p>' for tag in tags)
