@@ -242,15 +242,15 @@ def test_an_axis_that_is_armed_with_a_wrong_place_is_told(monkeypatch: pytest.Mo
     soak.watch.mended()
     allowed = 2.0 * travel_bound(soak.axis.design, 0.0, -1.0)
     for place, told in ((0.9 * allowed, False), (1.1 * allowed, True)):
-        soak.axis.state = State.DISARMED
+        soak.axis.machine.state = State.DISARMED
         assert soak.watch.look(place, 0.0, 0.0) is None
-        soak.axis.state = State.HOLDING
+        soak.axis.machine.state = State.HOLDING
         wrong = soak.watch.look(place, 0.0, 0.0)
         assert ("counts as referenced" in (wrong or "")) is told
     soak.watch.placed()
-    soak.axis.state = State.DISARMED
+    soak.axis.machine.state = State.DISARMED
     soak.watch.look(0.0, 0.0, 0.0)
-    soak.axis.state = State.HOLDING
+    soak.axis.machine.state = State.HOLDING
     assert soak.watch.look(0.1 * allowed, 0.0, 0.0) is not None
 
 

@@ -26,11 +26,11 @@ class DatedRig(AxisRig):
 
     def tick(self, missed: int = 0):  # type: ignore[no-untyped-def]
         take = self.axis.take_feedback
-        self.axis.take_feedback = lambda feedback, reception=IN_TIME: take(  # type: ignore[method-assign]
+        self.axis.take_feedback = lambda feedback, reception=IN_TIME: take(
             feedback._replace(position=self.answer), Reception((1 + missed) * PERIOD_S)
         )
         command = super().tick(missed)
-        self.axis.take_feedback = take  # type: ignore[method-assign]
+        self.axis.take_feedback = take
         self.answer = self.sample  # of the command that has left just now
         return command
 

@@ -38,8 +38,8 @@ def test_a_stop_from_any_speed_comes_to_rest(exponent: float, rate: float, sign:
 def test_a_stop_of_an_axis_at_exact_rest_is_no_failed_braking(velocity: float) -> None:
     rig = AxisRig().armed()
     rig.axis.law.observer.velocity = velocity
-    rig.axis._set_target(5.0, 1e-300)
-    rig.axis.state = State.SPEED_STAGE
+    rig.axis._operation.set_target(5.0, 1e-300)
+    rig.axis.machine.state = State.SPEED_STAGE
     rig.axis.stop()
     rig.seconds(3.0)
     assert (rig.state(), rig.axis.trip) == (State.HOLDING, None)

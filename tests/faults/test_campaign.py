@@ -14,10 +14,10 @@ from typing import Any, cast
 
 import pytest
 
-from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.machine import Machine
 from twostage_servo.axis.refusals import RefusalCode, Refused
+from twostage_servo.axis.requests import Requests
 from twostage_servo.axis.supervision import Supervision
+from twostage_servo.axis.trip_latch import TripLatch
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.main import main
 from twostage_servo.config.loader import load
@@ -303,14 +303,14 @@ def test_a_speed_that_is_told_too_late_to_be_unreachable_is_seen(monkeypatch: py
 
 
 def test_a_switch_that_nobody_gets_off_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    move_to = Axis.move_to
+    move_to = Requests.move_to
 
-    def move_if_reset(axis: Axis, target: float, velocity: float) -> object:
-        if axis.drive.positive_limit or axis.drive.negative_limit:
+    def move_if_reset(requests: Requests, target: float, velocity: float) -> object:
+        if requests._drive.positive_limit or requests._drive.negative_limit:
             raise Refused(RefusalCode.LIMIT_SWITCH, "no way is free")
-        return move_to(axis, target, velocity)
+        return move_to(requests, target, velocity)
 
-    monkeypatch.setattr(Axis, "move_to", move_if_reset)
+    monkeypatch.setattr(Requests, "move_to", move_if_reset)
     assert "off the switch was refused" in run(34, Phase.CRUISING).wrong
 
 
@@ -368,13 +368,13 @@ def test_the_process_gets_back_what_a_fault_has_taken_from_it() -> None:
 def test_the_more_severe_trip_gives_the_letter(monkeypatch: pytest.MonkeyPatch) -> None:
     cell = run(36, Phase.CRUISING, "500 ms")
     assert (cell.met, cell.observed, cell.trip) == (True, "Z", "missed_ticks+drive_fault")
-    raise_trip = Machine.raise_trip
+    raise_trip = TripLatch.raise_trip
 
-    def first_trip_only(machine: Machine, code: TripCode, cause: str) -> None:
-        if machine.trip is None:
-            raise_trip(machine, code, cause)
+    def first_trip_only(latch: TripLatch, code: TripCode, cause: str) -> None:
+        if latch.trip is None:
+            raise_trip(latch, code, cause)
 
-    monkeypatch.setattr(Machine, "raise_trip", first_trip_only)
+    monkeypatch.setattr(TripLatch, "raise_trip", first_trip_only)
     cell = run(36, Phase.CRUISING, "500 ms")
     assert (cell.met, cell.observed, cell.trip) == (False, "Q", "missed_ticks")
 

@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from twostage_servo.axis.machine import Machine as AxisMachine
+from twostage_servo.axis.trip_latch import TripLatch
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.config.machine import load_machine
 from twostage_servo.faults.campaign import Campaign
@@ -221,25 +221,25 @@ def test_an_axis_that_goes_on_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_an_axis_that_trips_with_another_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    def trip_both(machine: AxisMachine, code: object, cause: str) -> None:
-        raise_trip(machine, code, cause)  # type: ignore[arg-type]
-        for other in axes:
-            if other is not machine:
+    def trip_both(latch: TripLatch, code: object, cause: str) -> None:
+        raise_trip(latch, code, cause)  # type: ignore[arg-type]
+        for other in latches:
+            if other is not latch:
                 raise_trip(other, code, cause)  # type: ignore[arg-type]
 
-    axes: list[AxisMachine] = []
-    make = AxisMachine.__init__
+    latches: list[TripLatch] = []
+    make = TripLatch.__init__
 
-    def remember(machine: AxisMachine, *given: object, **named: object) -> None:
-        make(machine, *given, **named)  # type: ignore[arg-type]
-        axes.append(machine)
+    def remember(latch: TripLatch, *given: object, **named: object) -> None:
+        make(latch, *given, **named)  # type: ignore[arg-type]
+        latches.append(latch)
 
-    raise_trip = AxisMachine.raise_trip
+    raise_trip = TripLatch.raise_trip
     campaign = Campaign(load_machine(configuration("two_axes")), 1, "x")
     fault = next(fault for fault in TABLE if fault.number == 26)
     campaign._reference(Phase.CRUISING, fault)
-    monkeypatch.setattr(AxisMachine, "__init__", remember)
-    monkeypatch.setattr(AxisMachine, "raise_trip", trip_both)
+    monkeypatch.setattr(TripLatch, "__init__", remember)
+    monkeypatch.setattr(TripLatch, "raise_trip", trip_both)
     assert "axis y tripped as well" in campaign.run(fault, Phase.CRUISING).wrong
 
 

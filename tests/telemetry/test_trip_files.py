@@ -18,7 +18,6 @@ from typing import Any
 import pytest
 
 from tests.service.rig import World, simulate
-from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
@@ -109,7 +108,7 @@ def test_numbers_that_are_not_finite_are_null_in_the_file(monkeypatch: pytest.Mo
         monkeypatch.setattr(TwoStageLaw, "step", lambda law, sample: step(law, sample) + math.nan)
         monkeypatch.setattr(Motion, "finite", False)
         await world.until(lambda: world.axis.trip is not None)
-        monkeypatch.setattr(Axis, "estimate", SimpleNamespace(position=0.0, velocity=math.nan, disturbance=0.0))
+        monkeypatch.setattr(world.axis, "estimate", SimpleNamespace(position=0.0, velocity=math.nan, disturbance=0.0))
         await world.seconds(0.05)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.NOT_FINITE

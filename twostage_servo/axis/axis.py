@@ -1,267 +1,276 @@
-"""One axis: what an operator may ask of it; what it does then, tick by tick, is in the module ``machine``."""
+"""One axis: a drive with its law, its limits and its state, told tick by tick what happens."""
 
-import math
-
-from twostage_servo.axis.admission import say_tripped
+from twostage_servo.axis.admission import Admission
+from twostage_servo.axis.arming import Arming, Obstacles
+from twostage_servo.axis.count_watch import CountWatch
 from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.disabled_drive import DisabledDriveWatch
+from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.drive_watch import DriveWatch
+from twostage_servo.axis.driven_step import DrivenStep
 from twostage_servo.axis.duration import MoveDuration
-from twostage_servo.axis.homing import Homing
-from twostage_servo.axis.machine import Machine
+from twostage_servo.axis.hazards import Hazards
+from twostage_servo.axis.jog_timer import JogTimer
 from twostage_servo.axis.messages import DriveTraits
-from twostage_servo.axis.moves import Move, MoveKind, MoveOutcome
-from twostage_servo.axis.refusals import RefusalCode, Refused
-from twostage_servo.axis.state import BRAKING, LATCHED, Event, State, next_state
+from twostage_servo.axis.motion import Motion
+from twostage_servo.axis.moves import Move
+from twostage_servo.axis.operation import Operation
+from twostage_servo.axis.origin import Origin
+from twostage_servo.axis.reference import Reference
+from twostage_servo.axis.refusals import Obstacle
+from twostage_servo.axis.requests import Requests
+from twostage_servo.axis.state import CIA402, DRIVEN, ENABLED, State
+from twostage_servo.axis.state_machine import StateMachine
+from twostage_servo.axis.supervision import Supervision
+from twostage_servo.axis.tick import AxisTick
+from twostage_servo.axis.trip_latch import TripLatch
+from twostage_servo.axis.trips import Trip, TripCode
+from twostage_servo.control.estimate import Estimate  # noqa: TC001 - the class of an attribute
+from twostage_servo.control.laws.law import Law, Stage
 
-_FAR_S = 3600.0
-"""How far ahead, in time, the set-point of a jog lies on an axis that does not know its position."""
 
+class Axis:
+    """An axis, composed of parts with one job each.
 
-class Axis(Machine):
-    """An axis as its operator sees it: each request is carried out, or refused with a code and a reason.
+    A tick is `begin_tick`, then what has come from the drive, then `step`. Between two ticks the operator asks for
+    something.
 
-    Parameters and attributes as in :class:`~twostage_servo.axis.machine.Machine`; and ``duration``, which tells how
-    long its moves take.
+    Parameters
+    ----------
+    design
+        Gains, observer and settings.
+    traits
+        What is known of the drive beforehand.
+
+    Attributes
+    ----------
+    design, settings
+        As given.
+    machine
+        The state of the axis.
+    drive
+        What the drive reports: position, age, inputs, faults.
+    disabled
+        Whether a drive that is told to be disabled obeys, and whether the axis stays where it is.
+    motion
+        The law, the response it is designed for, and which feedback it believes.
+    supervision
+        What holds the motion to its limits.
+    reference
+        On what positions rest, and why they cannot be trusted where they cannot.
+    count
+        Whether the encoder goes on counting from where it was last seen.
+    duration
+        How long moves take.
+    requests
+        What the operator may ask for; each of them is an attribute of the axis as well.
+    slowest_velocity
+        Smallest speed that a set-point is taken with, in axis unit/s.
+    begin_tick, step
+        As :meth:`.AxisTick.begin` and :meth:`.AxisTick.step`.
+    take_feedback, take_heartbeat, take_foreign_command
+        As in :class:`.DriveWatch`.
+    raise_trip, end_braking
+        As :meth:`.TripLatch.raise_trip` and :meth:`.DrivenStep.end_braking`.
+    estimate
+        Position, velocity and disturbance of the axis as its law takes them to be now.
+    nominal
+        The same as the axis is designed to have them now.
     """
 
     def __init__(self, design: AxisDesign, traits: DriveTraits) -> None:
-        super().__init__(design, traits)
+        settings, resolution = design.settings, traits.position_quantum
+        self.design = design
+        self.settings = settings
         self.duration = MoveDuration(design)
-        self._moves = 0
+        self.machine = machine = StateMachine()
+        self.drive = drive = DriveReport(settings, design.period_s, traits)
+        report_period_ms = 0.0 if traits.tells_enabled else settings.limits.heartbeat_ms
+        self.disabled = disabled = DisabledDriveWatch(design, resolution, report_period_ms)
+        self.motion = motion = Motion(design, drive, resolution)
+        self.supervision = supervision = Supervision(design, motion)
+        self.reference = reference = Reference(required=settings.homing.required)
+        self.count = count = CountWatch(design, resolution, drive.step)
+        admission = Admission(design, drive, resolution)
+        origin = Origin(drive, disabled, motion, count, reference)
+        jog = JogTimer(design)
+        self._operation = operation = Operation(design, machine, motion, supervision, drive)
+        self._latch = latch = TripLatch(design, machine, operation, motion, reference)
+        self._hazards = hazards = Hazards(settings, machine, drive, disabled)
+        watch = DriveWatch(machine, drive, disabled, count, motion, reference, hazards, latch)
+        self._obstacles = obstacles = Obstacles(machine, drive, count, reference, admission)
+        arming = Arming(design, machine, drive, motion, supervision, operation, latch)
+        driven = DrivenStep(design, machine, drive, motion, supervision, operation, latch, origin, reference)
+        self.requests = requests = Requests(
+            design, machine, drive, motion, operation, latch, hazards, admission, arming, obstacles, jog, origin,
+            reference,
+        )  # fmt: skip
+        # What the operator may ask for, as the axis' own.
+        self.arm, self.check_arming, self.disarm = requests.arm, requests.check_arming, requests.disarm
+        self.move_to, self.check_move, self.move_by = requests.move_to, requests.check_move, requests.move_by
+        self.jog, self.bar_jog, self.stop = requests.jog, jog.bar, requests.stop
+        self.home, self.set_position = requests.home, requests.set_position
+        self.reset, self.check_reset = requests.reset, requests.check_reset
+        self.slowest_velocity = admission.slowest
+        # What it is told, tick by tick.
+        tick = AxisTick(design, machine, drive, motion, watch, arming, obstacles, jog, operation, driven, latch)
+        self.begin_tick, self.step = tick.begin, tick.step
+        self.take_feedback, self.take_heartbeat = watch.take_feedback, watch.take_heartbeat
+        self.take_foreign_command = watch.take_foreign_command
+        self.raise_trip, self.end_braking = latch.raise_trip, driven.end_braking
+        # What it tells, as long as it lives.
+        self.estimate: Estimate = motion.law.observer
+        self.nominal: Estimate = motion.nominal.observer
 
-    # What the operator asks for --------------------------------------------------------------------------------------
+    def take_over(self, former: "Axis") -> None:
+        """Know what a former axis on the same drive knew of it; both are disarmed, only the settings have changed.
 
-    def arm(self) -> None:
-        """Enable the drive; the axis then holds the position at which it is.
-
-        Raises
-        ------
-        Refused
-            As in :meth:`check_arming`.
+        A lost reference stays lost, and one that was found by other rules ([axis.homing]) has to be found again, as has
+        one that is required now.
         """
-        self.check_arming()
-        self._ticks_arming = 0
-        self._apply(Event.ARM)
-
-    def check_arming(self) -> None:
-        """Tell whether the axis could be armed.
-
-        Raises
-        ------
-        Refused
-            If the axis is not disarmed, there is no fresh feedback, the drive reports a fault, or the axis stands
-            outside its position limits.
-        """
-        if (trip := self.present_trip) is not None:
-            raise Refused(RefusalCode.TRIPPED, f"{say_tripped(trip)} `reset` first.")
-        if self.state is not State.DISARMED:
-            raise Refused(RefusalCode.ALREADY_ARMED, f"the axis is armed already ({self.state}).")
-        if obstacle := self.obstacle_to_arming():
-            raise Refused(*obstacle)
-
-    def disarm(self, reason: str | None = None) -> None:
-        """Bring a moving axis to rest, then disable the drive; an axis at rest is disabled at once.
-
-        Parameters
-        ----------
-        reason
-            What the end of a move is explained by, where it is not the operator who has asked for it.
-        """
-        if self.state in LATCHED:  # disabled already, or about to be
-            return
-        before = self.state
-        self._apply(Event.DISARM)
-        if self.state is State.DISARMING and before is not State.DISARMING:  # asked again, it goes on as it was
-            limits = self.settings.limits
-            quick = before is State.QUICK_STOPPING  # which is not made milder
-            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, MoveOutcome.STOPPED, reason)
-
-    def move_to(self, target: float, velocity: float) -> Move:
-        """Take a set-point in axis unit and its cruise velocity in axis unit/s; the effort stays continuous.
-
-        Raises
-        ------
-        Refused
-            As in :meth:`check_move`.
-        """
-        self.check_move(target, velocity)
-        self._end_move(MoveOutcome.REPLACED)
-        first = self._first_target(target)
-        self._final_target = target if first != target else None
-        self._begin_leg(first, velocity)
-        return self._new_move(MoveKind.MOVE, target, velocity)
-
-    def check_move(self, target: float, velocity: float) -> None:
-        """Tell whether a set-point could be taken.
-
-        Raises
-        ------
-        Refused
-            If the axis is not armed, is stopping, is not homed, a limit switch is in the way, or a number is not finite
-            or outside the limits.
-        """
-        check = self._admission
-        check.check_velocity(velocity, self.settings.limits.velocity)
-        check.check_state(self.state, Event.MOVE_SPEED, self.present_trip)
-        check.check_target(target, referenced=self.referenced, lost_because=self.reference.lost_because)
-        check.check_switches(target - self.law.observer.position)
-
-    def move_by(self, distance: float, velocity: float) -> Move:
-        """Move relative to the set-point now in force, so that steps add up exactly; else as :meth:`move_to`."""
-        self._admission.check_state(self.state, Event.MOVE_SPEED, self.present_trip)
-        in_force = self.law.target if self._final_target is None else self._final_target
-        return self.move_to(in_force + distance, velocity)
-
-    def jog(self, velocity: float) -> None:
-        """Move at a velocity in axis unit/s (its sign counts) until the jog time-out, unless asked again before.
-
-        An axis that knows its position comes to rest at its position limit.
-
-        Raises
-        ------
-        Refused
-            If the axis neither holds nor jogs, the velocity is not finite or too large, or the way is blocked; or if
-            somebody else has stopped it, until a jog was not asked for during its time-out.
-        """
-        limits, check = self.settings.limits, self._admission
-        if self._jog_barred_ticks:
-            self._jog_barred_ticks = self._jog_ticks
-            raise Refused(
-                RefusalCode.STOPPED,
-                "this axis was stopped, and not by whoever jogs it: let go of the jog for "
-                f"{self.settings.jog_timeout_ms:g} ms, look at the axis, and ask again.",
-            )
-        check.check_velocity(abs(velocity), limits.velocity if self.referenced else self.settings.homing.velocity)
-        check.check_state(self.state, Event.JOG, self.present_trip)
-        check.check_switches(velocity)
-        self._jog_ticks_left = self._jog_ticks
-        if self.state is State.JOGGING and self.move is not None and self.move.velocity == velocity:
-            return
-        position = self.law.observer.position
-        target = position + _FAR_S * velocity
-        if self.referenced:
-            target = limits.position_maximum if velocity > 0.0 else limits.position_minimum
-            if math.copysign(1.0, velocity) * (target - position) <= self.settings.window.position:
-                raise Refused(
-                    RefusalCode.POSITION_LIMIT, f"the axis stands at its limit of {target:g} {self.settings.unit}."
-                )
-        self._end_move(MoveOutcome.REPLACED)
-        self._set_target(target, abs(velocity))
-        self._apply(Event.JOG)
-        self._new_move(MoveKind.JOG, target, velocity)
-
-    def home(self) -> None:
-        """Look for the reference as the settings say; `set_here` takes the place where the axis is.
-
-        Raises
-        ------
-        Refused
-            If the axis does not hold; with `set_here` it may be disarmed as well, but must stand still and be seen.
-        """
-        if self.settings.homing.method == "set_here":
-            self.set_position(self.settings.homing.position)
-            return
-        self._admission.check_state(self.state, Event.HOME, self.present_trip)
-        self._admission.check_switches(Homing.first_direction(self.settings.homing, self.drive))
-        self._homing = Homing(self.design, self.motion, self.drive)
-        self.supervision.begin_move()
-        self._apply(Event.HOME)
-        self._new_move(MoveKind.HOME, self.settings.homing.position, self.settings.homing.velocity)
-
-    def set_position(self, position: float) -> None:
-        """Say where the axis stands now, in axis unit; from then on it knows its position.
-
-        Raises
-        ------
-        Refused
-            If the axis moves, its position is not known, or the number is not finite or no place within its limits.
-        """
-        if self.state is not State.DISARMED:
-            self._admission.check_state(self.state, Event.HOME, self.present_trip)
-        # A sample in doubt may be a spike, which would be taken for where the axis stands.
-        is_known = self.motion.knows_speed and not self.motion.doubts_sample
-        velocity = self.law.observer.velocity if is_known else None
-        self._admission.check_place(position, velocity, self.design.rest_velocity)
-        assert self.drive.position is not None  # noqa: S101 - just checked
-        self._reference_at(self.drive.position, position)
-
-    def stop(self, reason: str | None = None, *, quick: bool = False) -> None:
-        """Brake, with the acceleration limit or the quick stop deceleration, and hold where the axis comes to rest.
-
-        An axis that is only just being armed is disarmed; one that brakes already is never braked more mildly.
-
-        Raises
-        ------
-        Refused
-            If the axis is not armed.
-        """
-        event = Event.QUICK_STOP if quick else Event.STOP
-        self._admission.check_state(self.state, event, self.present_trip)
-        before = self.state
-        self._apply(event)
-        limits = self.settings.limits
-        # Only once: each braking that begins is given its time anew.
-        harder = quick and before is State.DISARMING and self._deceleration < limits.quick_stop_deceleration
-        if harder or (self.state in BRAKING and self.state is not before):
-            self._brake(limits.quick_stop_deceleration if quick else limits.acceleration, MoveOutcome.STOPPED, reason)
-
-    def bar_jog(self) -> None:
-        """Take no jog before it was let go for its time-out: a stop must outlast the requests that keep a jog going.
-
-        For a stop by somebody else than who jogs. Whoever asks blindly, every 100 ms, would set the axis moving again.
-        """
-        self._jog_barred_ticks = self._jog_ticks
-
-    @property
-    def slowest_velocity(self) -> float:
-        """Smallest speed that a set-point is taken with, in axis unit/s."""
-        return self._admission.slowest
+        self.drive.take_over(former.drive)
+        self.disabled.take_over(former.disabled)
+        self.count.take_over(former.count)
+        self.reference.take_over(former.reference)
+        is_wanted = self.settings.homing.required or self.reference.is_homed
+        if is_wanted and self.settings.homing != former.settings.homing:
+            self.reference.lose("[axis.homing] has changed")
 
     @property
     def can_stop(self) -> bool:
         """Whether a stop is admitted."""
-        return next_state(self.state, Event.STOP) is not None
+        return self.requests.can_stop
 
-    def reset(self) -> None:
-        """Clear a trip; the axis is disarmed afterwards and needs `arm` and a fresh set-point.
+    # What it tells ---------------------------------------------------------------------------------------------------
 
-        Raises
-        ------
-        Refused
-            As in :meth:`check_reset`.
+    @property
+    def state(self) -> State:
+        """Where the axis stands."""
+        return self.machine.state
+
+    @property
+    def cia402_state(self) -> str:
+        """The state in the terms of CiA 402."""
+        if self.machine.state is State.DISARMED and self._obstacles.first() is not None:
+            return "switch on disabled"
+        return CIA402[self.machine.state]
+
+    @property
+    def move(self) -> Move | None:
+        """The latest move, jog or homing, or None."""
+        return self._operation.move
+
+    @property
+    def trip(self) -> Trip | None:
+        """The latched trip, or None. A later one does not replace it; its reaction wins if it is more severe."""
+        return self._latch.trip
+
+    @property
+    def escalation(self) -> Trip | None:
+        """The later trip that did so, or None."""
+        return self._latch.escalation
+
+    @property
+    def trips(self) -> dict[TripCode, Trip]:
+        """Every trip since the last reset, the first of each code."""
+        return self._latch.trips
+
+    @property
+    def lasting(self) -> tuple[Trip, ...]:
+        """What is wrong with the drive at this moment, with its present numbers.
+
+        All of it trips but somebody else's commands to a drive that is seen to be disabled.
         """
-        self.check_reset()
-        self._apply(Event.RESET)
-        self.trip = self.escalation = None
-        self.trips.clear()
+        return self._hazards.lasting(self._latch.tick)
 
-    def check_reset(self) -> None:
-        """Tell whether a trip could be cleared.
+    @property
+    def hazards(self) -> tuple[Trip, ...]:
+        """That of it which trips, also while disabled; no reset is possible meanwhile."""
+        return self._hazards.present(self._latch.tick)
 
-        Raises
-        ------
-        Refused
-            If the axis is armed, or still braking after the trip, or something is wrong with its drive that must not
-            last: one that is not disabled, that contradicts itself, or that another node commands while it is enabled.
+    @property
+    def present_trip(self) -> Trip | None:
+        """The trip that the operator has to deal with first: one that lasts, else the first one; None without any."""
+        return self.requests.present_trip
+
+    @property
+    def is_disabling(self) -> bool:
+        """Whether the drive has been told to disable, and still has time to report that it is off."""
+        return self.machine.state not in ENABLED and self.disabled.waits
+
+    def obstacle_to_arming(self) -> Obstacle | None:
+        """Return code and text of what keeps a disarmed axis from being armed, or None."""
+        return self._obstacles.first()
+
+    @property
+    def ready_to_arm(self) -> bool:
+        """Whether the axis could be armed now."""
+        return self.machine.state is State.DISARMED and self._obstacles.first() is None
+
+    @property
+    def following_error(self) -> float:
+        """Estimated position minus the position that the axis is designed to have now, axis unit; 0 when not driven."""
+        return self.motion.following_error if self.machine.state in DRIVEN else 0.0
+
+    @property
+    def law(self) -> Law:
+        """The law that drives the axis."""
+        return self.motion.law
+
+    @property
+    def effort(self) -> float:
+        """The effort that the law gave last, in effort unit; not what has left where the axis is not driven."""
+        return self.motion.law.effort
+
+    @property
+    def set_point(self) -> float:
+        """The set-point in force, in axis unit."""
+        return self.motion.law.target
+
+    @property
+    def cruise_velocity(self) -> float:
+        """Magnitude of the velocity that goes with the set-point, in axis unit/s."""
+        return self.motion.law.cruise_velocity
+
+    @property
+    def distance_to_go(self) -> float:
+        """Distance from the estimated position to the set-point, in axis unit, never negative."""
+        return abs(self.motion.law.target - self.motion.law.observer.position)
+
+    @property
+    def speed_reference(self) -> float:
+        """The velocity that the law asks for now, ramped, in axis unit/s."""
+        return self.motion.law.speed_reference
+
+    @property
+    def stage(self) -> Stage:
+        """The stage that made the last effort."""
+        return self.motion.law.stage
+
+    @property
+    def saturated(self) -> bool:
+        """Whether the effort limit cut the last effort."""
+        return self.motion.law.saturated
+
+    @property
+    def changeovers(self) -> int:
+        """Number of changes from the speed to the position stage so far."""
+        return self.motion.law.changeovers
+
+    @property
+    def predicted_ticks(self) -> int:
+        """Ticks in which the model had to stand in for a sample, so far."""
+        return self.motion.predicted
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether effort and estimate are numbers."""
+        return self.motion.finite
+
+    @property
+    def referenced(self) -> bool:
+        """Whether positions can be trusted: nothing has cast doubt on them since the axis was homed, or it needs none.
+
+        On what they rest then, :attr:`reference` says.
         """
-        if self.state in LATCHED and self.state is not State.TRIPPED:
-            raise Refused(RefusalCode.BUSY, "the axis is still braking after its trip: `reset` when it is at rest.")
-        if next_state(self.state, Event.RESET) is None:
-            raise Refused(RefusalCode.NOT_TRIPPED, f"the axis is {self.state}: there is nothing to reset.")
-        if (lasting := next(iter(self.hazards), None)) is not None:
-            raise Refused(RefusalCode(lasting.code), f"{lasting.cause.rstrip('.')}. {lasting.next_action}")
-
-    def _new_move(self, kind: MoveKind, target: float, velocity: float) -> Move:
-        self._moves += 1
-        self.move = Move(self._moves, kind, target, velocity, start=self.law.observer.position)
-        return self.move
-
-    def _first_target(self, target: float) -> float:
-        """Return the set-point itself, or one beyond it for a move that would end from the wrong side."""
-        approach = self.settings.approach
-        if approach.direction == "either":
-            return target
-        sign = 1.0 if approach.direction == "positive" else -1.0
-        if sign * (target - self.law.observer.position) > 0.0:
-            return target
-        limits = self.settings.limits
-        return min(max(target - sign * approach.distance, limits.position_minimum), limits.position_maximum)
+        return self.reference.source is not None

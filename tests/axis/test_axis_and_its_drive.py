@@ -1,4 +1,4 @@
-"""What the machine inside an axis hands on to its watches, and what it says of a drive that lasts in a wrong state."""
+"""What an axis hands on to the watches of its drive, and what it says of one that lasts in a wrong state."""
 
 import math
 

@@ -1,0 +1,126 @@
+"""What an axis is about: the move that was asked for, its legs, the search for a reference, and braking."""
+
+from twostage_servo.axis.design import AxisDesign
+from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.homing import Homing
+from twostage_servo.axis.motion import Motion
+from twostage_servo.axis.moves import Move, MoveKind, MoveOutcome
+from twostage_servo.axis.state import COMMANDED, Event
+from twostage_servo.axis.state_machine import StateMachine
+from twostage_servo.axis.supervision import Supervision
+from twostage_servo.control.laws.law import Stage
+
+
+class Operation:
+    """Begins and ends moves and brakings, and tells motion and supervision of them.
+
+    Parameters
+    ----------
+    design
+        The axis.
+    machine
+        Its state.
+    motion, supervision
+        What moves it, and what watches that.
+    drive
+        What its drive reports.
+
+    Attributes
+    ----------
+    move
+        The latest move, jog or homing, or None.
+    homing
+        The search for the reference that is under way, or None.
+    final_target
+        Where a move that goes past its set-point first ends, in axis unit; None in its last leg.
+    deceleration
+        Of the present braking, or the latest, in axis unit/s².
+    """
+
+    __slots__ = (
+        "_design", "_drive", "_heading", "_machine", "_motion", "_moves", "_supervision", "deceleration",
+        "final_target", "homing", "move",
+    )  # fmt: skip
+
+    def __init__(
+        self, design: AxisDesign, machine: StateMachine, motion: Motion, supervision: Supervision, drive: DriveReport
+    ) -> None:
+        self._design = design
+        self._machine = machine
+        self._motion = motion
+        self._supervision = supervision
+        self._drive = drive
+        self._moves = 0
+        self._heading = 0.0
+        self.move: Move | None = None
+        self.homing: Homing | None = None
+        self.final_target: float | None = None
+        self.deceleration = 0.0
+
+    @property
+    def heading(self) -> float:
+        """A number whose sign is the direction of the present leg."""
+        return self._heading if self.homing is None else self.homing.direction
+
+    @property
+    def set_point(self) -> float:
+        """Where the move in force ends, in axis unit."""
+        return self._motion.law.target if self.final_target is None else self.final_target
+
+    def forget(self) -> None:
+        """Begin without a move."""
+        self.move = self.final_target = None
+
+    def announce(self, kind: MoveKind, target: float, velocity: float) -> Move:
+        """Return a move that begins now, to a set-point in axis unit with a velocity in axis unit/s."""
+        self._moves += 1
+        self.move = Move(self._moves, kind, target, velocity, start=self._motion.law.observer.position)
+        return self.move
+
+    def end_move(self, outcome: MoveOutcome, reason: str | None = None) -> None:
+        """End the move that is under way, if there is one."""
+        self.final_target = None
+        if self.homing is not None:
+            self.homing.end()
+            self.homing = None
+        if self.move is not None and self.move.outcome is MoveOutcome.MOVING:
+            self.move.outcome = outcome
+            self.move.reason = reason
+
+    def set_target(self, target: float, velocity: float) -> None:
+        """Set out for a set-point in axis unit with a velocity in axis unit/s; the state stays as it is."""
+        self._heading = target - self._motion.law.observer.position
+        self._motion.set_target(target, velocity)
+        if self._machine.state in COMMANDED:
+            self._supervision.change_move()
+        else:
+            self._supervision.begin_move()
+
+    def begin_leg(self, target: float, velocity: float) -> None:
+        """Set out for a set-point, by whichever stage the law begins with."""
+        self.set_target(target, velocity)
+        self._machine.apply(Event.MOVE_SPEED if self._motion.law.stage is Stage.SPEED else Event.MOVE_POSITION)
+
+    def begin_last_leg(self) -> bool:
+        """Set out for the end of a move that has gone past its set-point first; return whether there is one."""
+        if self.final_target is None or self.move is None:
+            return False
+        target, self.final_target = self.final_target, None
+        self._supervision.begin_move()  # it has come to rest here
+        self.begin_leg(target, self.move.velocity)
+        return True
+
+    def begin_homing(self) -> None:
+        """Begin to look for the reference."""
+        homing = self._design.settings.homing
+        self.homing = Homing(self._design, self._motion, self._drive)
+        self._supervision.begin_move()
+        self._machine.apply(Event.HOME)
+        self.announce(MoveKind.HOME, homing.position, homing.velocity)
+
+    def brake(self, deceleration: float, outcome: MoveOutcome, reason: str | None = None) -> None:
+        """End the move, and bring the axis to rest with a deceleration in axis unit/s²."""
+        self.end_move(outcome, reason)
+        self.deceleration = deceleration
+        self._motion.stop(deceleration)
+        self._supervision.begin_braking(deceleration)
