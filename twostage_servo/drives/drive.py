@@ -66,7 +66,7 @@ class Drive(Protocol):
             When the effort is not finite.
         """
 
-    def cyclic_frames(self, tick_s: float, heartbeat_s: float) -> Sequence[CyclicFrame]:
+    def cyclic_frames(self, tick_s: float, heartbeat_s: float, /) -> Sequence[CyclicFrame]:
         """Return what controller and drive exchange for ever, on a tick of so many s.
 
         A heartbeat is taken to come every `heartbeat_s`. What comes once, as in homing or at the start, is left out.
@@ -97,11 +97,14 @@ class DriveSide(Protocol):
             If the frame must not be used.
         """
 
-    def feedback(self, feedback: Feedback) -> Sequence[SentFrame]:
+    def answers(self) -> Sequence[SentFrame]:
+        """Return, once, what the drive has to answer to the frames that were no commands."""
+
+    def feedback(self, feedback: Feedback, /) -> Sequence[SentFrame]:
         """Make the frames that report a feedback; a counter is reduced by its modulus."""
 
-    def index(self, mark: IndexMark) -> Sequence[SentFrame]:
+    def index(self, mark: IndexMark, /) -> Sequence[SentFrame]:
         """Make the frames that report the index mark."""
 
-    def heartbeat(self, heartbeat: Heartbeat) -> Sequence[SentFrame]:
+    def heartbeat(self, heartbeat: Heartbeat, /) -> Sequence[SentFrame]:
         """Make the frames of a heartbeat, whose state is numbered as in the shipped DBC."""

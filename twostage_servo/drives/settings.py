@@ -4,10 +4,8 @@ from typing import Any, TypeAlias
 
 from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
 
-from twostage_servo.drives.registry import GROUP, drive_type, is_known, known_types
+from twostage_servo.drives.registry import DBC, UnknownDriveError, drive_type
 from twostage_servo.settings.base import Settings
-
-DEFAULT_TYPE = "dbc"
 
 SettingsClass: TypeAlias = type[Settings]
 
@@ -15,17 +13,15 @@ SettingsClass: TypeAlias = type[Settings]
 class DriveSettings(Settings):
     """What the settings of all types of drives have in common. A type adds its own keys to them."""
 
-    type: str = Field(DEFAULT_TYPE, description="Type of the drive: dbc, or one that an installed package brings")
+    type: str = Field(DBC, description="Type of the drive: dbc, or one that an installed package brings")
 
     @field_validator("type")
     @classmethod
     def _is_known(cls, name: str) -> str:
-        if not is_known(name):
-            there_are = ", ".join(known_types()) or "none, not even of this package: install it again (pip install)"
-            raise ValueError(
-                f"no such type of drive is installed; there are: {there_are}. A package brings one by an entry point "
-                f"of the group {GROUP}"
-            )
+        try:
+            drive_type(name)
+        except UnknownDriveError as error:
+            raise ValueError(str(error)) from error
         return name
 
     @model_validator(mode="wrap")
@@ -34,15 +30,28 @@ class DriveSettings(Settings):
         """Read the table as the settings of the type that it names."""
         if cls is not DriveSettings or not isinstance(value, dict):
             return handler(value)
-        name = value.get("type", DEFAULT_TYPE)
-        if not isinstance(name, str) or not is_known(name):
-            return handler({"type": name})
-        settings: DriveSettings = drive_type(name).settings.model_validate(value)
+        known = _class_of(value)
+        if known is None:
+            return handler({"type": value["type"]})
+        settings = known.model_validate(value)
+        if not isinstance(settings, DriveSettings):
+            raise ValueError("the settings of this type are no DriveSettings: its package is wrong")  # noqa: TRY004
         return settings
 
     @staticmethod
     def class_for(table: object) -> SettingsClass:
         """Return the class that reads a table; that of the default where it names no type that is known."""
-        name = table.get("type") if isinstance(table, dict) else None
-        known: SettingsClass = drive_type(name if isinstance(name, str) and is_known(name) else DEFAULT_TYPE).settings
-        return known
+        known = _class_of(table) if isinstance(table, dict) else None
+        return known or _class_of({}) or DriveSettings
+
+
+def _class_of(table: dict[str, Any]) -> SettingsClass | None:
+    """Return the settings class of the type that a table names, or None if there is no such type."""
+    name = table.get("type", DBC)
+    if not isinstance(name, str):
+        return None
+    try:
+        found: SettingsClass = drive_type(name).settings
+    except UnknownDriveError:
+        return None
+    return found

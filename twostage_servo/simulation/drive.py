@@ -259,6 +259,7 @@ class SimulatedDrive:
         frames: list[SentFrame] = []
         if self._booted_s != inf and self._is_booting():
             return frames
+        frames += self._side.answers()
         if self._has_index:
             self._advance()
             if (mark := self._axis.take_passed_mark()) is not None:

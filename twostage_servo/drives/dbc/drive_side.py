@@ -35,6 +35,10 @@ class DbcDriveSide:
         """
         return self._profile.decode_command(frame)
 
+    def answers(self) -> tuple[SentFrame, ...]:
+        """Return nothing: such a drive takes commands alone."""
+        return ()
+
     def feedback(self, feedback: Feedback) -> tuple[SentFrame]:
         """Make the frame of a feedback; see :meth:`DriveProfile.encode_feedback`."""
         return (SentFrame(self._profile.feedback_id, self._profile.encode_feedback(feedback)),)

@@ -1,0 +1,112 @@
+"""A drive that a DBC describes, from both ends: what each makes of the other's frames."""
+
+from pathlib import Path
+
+import can
+import pytest
+
+from twostage_servo.axis.messages import Command, Feedback, ForeignCommand, Heartbeat, IndexMark
+from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.drive import DbcDrive
+from twostage_servo.drives.dbc.drive_side import DbcDriveSide
+from twostage_servo.drives.dbc.drive_type import DBC
+from twostage_servo.drives.dbc.settings import ProtocolSettings
+from twostage_servo.drives.frame import FrameRejected, SentFrame
+from twostage_servo.drives.protocol_error import ProtocolError
+from twostage_servo.drives.registry import DriveType, drive_type
+
+
+def drive(**tables: object) -> DbcDrive:
+    return DBC.build(ProtocolSettings.model_validate(tables), Path(), "mm", False)
+
+
+PLAIN = {
+    "index": {"message": False},
+    "heartbeat": {"message": False},
+}
+
+
+def received(frame: SentFrame) -> can.Message:
+    number, extended = frame.identifier
+    return can.Message(arbitration_id=number, is_extended_id=extended, data=frame.data)
+
+
+def test_it_is_the_type_of_its_entry_point() -> None:
+    assert drive_type("dbc") is DBC
+    assert isinstance(DBC, DriveType)
+    assert DBC.settings is ProtocolSettings
+
+
+def test_its_commands_count_up_and_say_what_was_asked_for() -> None:
+    one, side = drive(), DBC.side(drive())
+    for counter in (1, 2, 3):
+        (frame,) = one.encode(Command(-1.5, enable=True))
+        assert frame.identifier == one.command_id
+        assert side.decode(received(frame)) == Command(-1.5, enable=True, counter=counter)
+
+
+def test_two_drives_count_by_themselves() -> None:
+    first, second = drive(), drive()
+    first.encode(Command(0.0, enable=False))
+    assert first.encode(Command(0.0, enable=False)) != second.encode(Command(0.0, enable=False))
+
+
+@pytest.mark.parametrize("effort", [float("nan"), float("inf")])
+def test_an_effort_that_is_not_finite_is_not_sent(effort: float) -> None:
+    with pytest.raises(ValueError, match="must be finite"):
+        drive().encode(Command(effort, enable=True))
+
+
+def test_each_report_of_the_drive_finds_its_decoder() -> None:
+    one = drive()
+    side = DbcDriveSide(one.profile)
+    reports = (
+        Feedback(12.5, 3, True, False, 0, False, False, False, True, False),
+        IndexMark(-4.25, 2),
+        Heartbeat(3, 7),
+    )
+    feedback, mark, heartbeat = reports
+    frames = (*side.feedback(feedback), *side.index(mark), *side.heartbeat(heartbeat))
+    assert [one.decoders[frame.identifier](received(frame)) for frame in frames] == list(reports)
+    assert side.answers() == ()
+
+
+def test_what_it_does_not_have_is_neither_listened_to_nor_sent() -> None:
+    one = drive(**PLAIN)
+    side = DbcDriveSide(one.profile)
+    assert list(one.decoders) == [one.feedback_id, one.command_id]
+    assert (side.has_index, side.has_heartbeat) == (False, False)
+    assert (side.index(IndexMark(0.0, 0)), side.heartbeat(Heartbeat(0, 0))) == ((), ())
+    assert [frame.name for frame in one.cyclic_frames(0.01, 0.1)] == ["command", "feedback"]
+
+
+def test_it_obeys_its_command_alone_and_needs_no_start() -> None:
+    one = drive()
+    assert one.obeyed == (one.command_id,)
+    assert DbcDriveSide(one.profile).identifiers == (one.command_id,)
+    assert one.start_up == ()
+    assert "command time-out" in one.dead_host
+
+
+def test_a_command_of_somebody_else_is_read_as_far_as_it_can_be() -> None:
+    one, other = drive(), drive()
+    foreign = one.decoders[one.command_id]
+    (frame,) = other.encode(Command(3.0, enable=True))
+    text = f"0x201 [{frame.data.hex(' ')}]"
+    assert foreign(received(frame)) == ForeignCommand(text, Command(3.0, enable=True, counter=1))
+    spoilt = received(frame._replace(data=bytes((*frame.data[:-1], frame.data[-1] ^ 1))))
+    assert foreign(spoilt) == ForeignCommand(f"0x201 [{spoilt.data.hex(' ')}]", None, "checksum")
+    with pytest.raises(FrameRejected, match="29 bits"):
+        foreign(received(SentFrame(Identifier(0x201, extended=True), frame.data)))
+
+
+def test_another_content_of_the_dbc_is_told(tmp_path: Path) -> None:
+    shipped = (Path(__file__).parents[2] / "config" / "servo_drive.dbc").read_bytes()
+    (tmp_path / "mine.dbc").write_bytes(shipped)
+    settings = ProtocolSettings(dbc="mine.dbc")
+    traits = DBC.build(settings, tmp_path, "mm", False).traits
+    DBC.check_unchanged(settings, tmp_path, traits)
+    (tmp_path / "mine.dbc").write_bytes(shipped + b"\n")
+    with pytest.raises(ProtocolError, match="only a restart") as caught:
+        DBC.check_unchanged(settings, tmp_path, traits)
+    assert caught.value.key == ("protocol", "dbc")
