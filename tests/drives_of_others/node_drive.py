@@ -22,7 +22,7 @@ class NodeSettings(DriveSettings):
 
 class NodeDrive:
     traits = DriveTraits(counter_modulus=256, position_quantum=1e-3, effort_limit=32.0, effort_quantum=1e-3)
-    dead_host = "the node's own time-out of 100 ms, which cannot be switched off"
+    dead_host = "by a time-out of 100 ms, which cannot be switched off"
 
     def __init__(self, node: int) -> None:
         self.feedback_id, self.command_id, self.state_id = (

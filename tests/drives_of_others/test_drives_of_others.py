@@ -49,8 +49,9 @@ def refused(file: Path, *overrides: str) -> Problem:
 def test_check_takes_its_table_and_shows_its_identifiers(capsys: pytest.CaptureFixture[str], file: Path) -> None:
     code, out, _ = run(capsys, "check", "--config", str(file), "--json")
     assert code == 0
-    frames = json.loads(out)["frames"]
-    assert frames == {"command": 0x205, "feedback": 0x185, "effort_quantum": 0.001, "position_quantum": 0.001}
+    told = json.loads(out)
+    assert told["dead_host"] == "by a time-out of 100 ms, which cannot be switched off"
+    assert told["frames"] == {"command": 0x205, "feedback": 0x185, "effort_quantum": 0.001, "position_quantum": 0.001}
 
 
 @pytest.mark.usefixtures("node")

@@ -106,6 +106,7 @@ def _summary(machine: "Machine", loaded: "LoadedConfig[Config]", axis_loop: "Axi
             "effort_quantum": drive.traits.effort_quantum,
             "position_quantum": drive.traits.position_quantum,
         },
+        "dead_host": drive.dead_host,
         "changeover_distance": axis.design.changeover_distance(config.axis.cruise_velocity),
         "unit": config.axis.unit,
         "cruise_velocity": config.axis.cruise_velocity,
@@ -179,7 +180,8 @@ def _sentence(summary: dict[str, Any]) -> str:
         f"0x{frames['feedback']:x}; change-over {summary['changeover_distance']:.4g} {unit} before the set-point at "
         f"{summary['cruise_velocity']:g} {unit}/s.\n"
         f"An encoder that turns round or changes its scale is certain after {detection['travel']:.4g} {unit} at most "
-        f"({detection['allowed']:g} allowed); {slowest}."
+        f"({detection['allowed']:g} allowed); {slowest}.\n"
+        f"If this host dies, only the drive stops the axis: {summary['dead_host']}."
         + "".join(f"\nNote: {note}." for note in summary["notes"])
         + "".join(map(_warn, summary["warnings"]))
     )

@@ -55,7 +55,7 @@ class Drive(Protocol):
 
     @property
     def dead_host(self) -> str:
-        """Which time-out of the drive stops it when the controller has died, and how it is set: for the operator."""
+        """By which time-out the drive stops when the controller has died, and how it is set: ends a sentence."""
 
     def encode(self, command: Command) -> Sequence[SentFrame]:
         """Make the frames of a command, the same ones in every tick; an effort beyond the signal is saturated.

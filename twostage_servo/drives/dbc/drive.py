@@ -10,7 +10,7 @@ from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.drive import Decoder
 from twostage_servo.drives.frame import FrameRejected, ReceivedFrame, SentFrame
 
-_DEAD_HOST: Final = "the drive's own command time-out, which no DBC describes: set it in the drive"
+_DEAD_HOST: Final = "by its command time-out, which no DBC describes; set it in the drive"
 
 
 class DbcDrive:
