@@ -67,6 +67,8 @@ def test_each_report_of_the_drive_finds_its_decoder() -> None:
     )
     feedback, mark, heartbeat = reports
     frames = (*side.feedback(feedback), *side.index(mark), *side.heartbeat(heartbeat))
+    assert [frame.identifier for frame in frames] == [Identifier(number, False) for number in (0x181, 0x281, 0x701)]
+    assert list(one.decoders) == [*(frame.identifier for frame in frames), Identifier(0x201, False)]
     assert [one.decoders[frame.identifier](received(frame)) for frame in frames] == list(reports)
     assert side.answers() == ()
 

@@ -118,8 +118,6 @@ def test_shipped_profile_has_the_figures_of_the_documented_protocol() -> None:
     assert SHIPPED.feedback_id == Identifier(0x181, extended=False)
     assert SHIPPED.heartbeat_id == Identifier(0x701, extended=False)
     assert SHIPPED.index_id == Identifier(0x281, extended=False)
-    assert SHIPPED.controller_identifiers == (SHIPPED.feedback_id, SHIPPED.index_id, SHIPPED.heartbeat_id)
-    assert SHIPPED.drive_identifiers == (SHIPPED.command_id,)
     assert (SHIPPED.traits.effort_quantum, SHIPPED.traits.effort_limit, SHIPPED.traits.position_quantum) == (
         0.001,
         32.0,
@@ -191,9 +189,6 @@ def test_index_is_that_of_cantools(raw: int, counter: int) -> None:
     values = {"Position": index.position, "AliveCounter": counter, "Checksum": crc8_j1850(0x281, data[:5])}
     assert data == shipped_database().encode_message("DriveIndex", values)
     message = message_of(data, 0x281)
-    assert SHIPPED.is_index(message)
-    assert not SHIPPED.is_feedback(message)
-    assert not SHIPPED.is_heartbeat(message)
     assert SHIPPED.decode_index(message) == index
 
 
@@ -345,13 +340,6 @@ def test_a_flipped_bit_never_gets_through(data: bytes, flip: int) -> None:
         SHIPPED.decode_feedback(message_of(bad))
 
 
-def test_dispatch_goes_by_the_number_so_that_the_other_kind_is_rejected_and_counted() -> None:
-    extended = message_of(GOOD, is_extended_id=True)
-    assert SHIPPED.is_feedback(extended)
-    assert not SHIPPED.is_heartbeat(extended)
-    assert SHIPPED.is_heartbeat(message_of(b"\0\0", 0x701))
-
-
 # Another drive ------------------------------------------------------------------------------------------------------
 
 
@@ -359,7 +347,6 @@ def test_another_drive_is_described_by_its_dbc_and_the_settings(folder: Path) ->
     profile = DriveProfile.compile(other_settings(), folder, "mm")
     assert profile.command_id == Identifier(0x18FF0001, extended=True)
     assert profile.heartbeat_id is None
-    assert profile.controller_identifiers == (profile.feedback_id,)
     assert (profile.traits.counter_modulus, profile.command_counter_modulus) == (14, 1)
     assert (profile.traits.effort_quantum, profile.traits.effort_limit, profile.traits.position_quantum) == (
         0.0,
@@ -393,7 +380,6 @@ def test_nan_effort_in_a_float_signal_is_rejected(folder: Path) -> None:
 def test_a_drive_without_heartbeat_has_none_to_decode_or_encode(folder: Path) -> None:
     profile = DriveProfile.compile(other_settings(), folder, "mm")
     message = message_of(b"\0\0", 0x701)
-    assert not profile.is_heartbeat(message)
     with pytest.raises(FrameRejected, match="no heartbeat"):
         profile.decode_heartbeat(message)
     with pytest.raises(ValueError, match="no heartbeat"):
@@ -403,7 +389,6 @@ def test_a_drive_without_heartbeat_has_none_to_decode_or_encode(folder: Path) ->
 def test_a_drive_without_index_has_none_to_decode_or_encode(folder: Path) -> None:
     profile = DriveProfile.compile(other_settings(), folder, "mm")
     message = message_of(bytes(6), 0x281)
-    assert not profile.is_index(message)
     assert (profile.index_id, profile.index_counter_modulus) == (None, 1)
     with pytest.raises(FrameRejected, match="no index message"):
         profile.decode_index(message)
@@ -415,7 +400,6 @@ def test_the_index_of_another_drive_has_the_scale_of_its_feedback(folder: Path) 
     index = {"message": "Mark", "position": "Latch", "counter": False, "checksum": False}
     profile = DriveProfile.compile(other_settings(index=index), folder, "mm")
     assert profile.index_id == Identifier(0x18FF0004, extended=True)
-    assert profile.controller_identifiers == (profile.feedback_id, profile.index_id)
     frame = message_of(bytes.fromhex("ffffff9c"), 0x18FF0004, is_extended_id=True)
     assert profile.decode_index(frame) == IndexMark(0.5, None)
     assert profile.encode_index(IndexMark(0.5, 3)) == frame.data

@@ -46,6 +46,22 @@ def test_a_command_of_another_length_is_a_second_controller_too() -> None:
     simulate(script)
 
 
+def test_a_frame_goes_by_its_number_so_that_one_of_the_other_kind_is_rejected_and_counted() -> None:
+    async def script(world: World) -> None:
+        await world.armed()
+        errors, link = world.axis.drive.monitor.rejected, world.axis_loop.bus.link
+        number, _ = world.profile.feedback_id
+        data = world.profile.encode_feedback(Feedback(0.0, 1))
+        world.hear(can.Message(arbitration_id=number, is_extended_id=True, data=data))
+        assert world.axis.drive.monitor.rejected == errors + 1
+        assert link.counters.rejected_by_reason["extended"] == 1
+        world.hear(can.Message(arbitration_id=0x701, is_extended_id=False, data=b"\0"))  # a heartbeat has two bytes
+        assert world.axis.drive.monitor.rejected == errors + 1
+        assert link.counters.rejected_by_reason["length"] == 1
+
+    simulate(script)
+
+
 @pytest.mark.parametrize("good_frame_follows", [True, False])
 @pytest.mark.parametrize(
     ("lost", "code"),

@@ -268,7 +268,7 @@ def test_a_drive_and_a_controller_meet_on_it_in_simulated_time(profile: DrivePro
         wire.disturb = lambda sender, message, _: [(0.003 if sender == "drive" else 0.0, message)]
         settings = SimulationSettings(command_timeout_ms=1000.0)
         drive = SimulatedDrive(settings, DbcDriveSide(profile), loop.time())
-        node = DriveNode(drive, Link(SETTINGS, profile.drive_identifiers, partial(wire.attach, "drive")), 0.001)
+        node = DriveNode(drive, Link(SETTINGS, [profile.command_id], partial(wire.attach, "drive")), 0.001)
         running = asyncio.create_task(node.run())
         link = Link(SETTINGS, [profile.feedback_id], partial(wire.attach, "controller"))
         link.open()

@@ -27,7 +27,7 @@ async def heard(
     wire = Wire(loop.time)
     drive = SimulatedDrive(SimulationSettings(**settings), DbcDriveSide(profile), loop.time())
     bus = BusSettings(interface="virtual", channel="x")
-    link = Link(bus, profile.drive_identifiers, functools.partial(wire.attach, "drive"))
+    link = Link(bus, [profile.command_id], functools.partial(wire.attach, "drive"))
     place = wire.node("drive")
     cycle_s = drive._settings.cycle_ms / 1e3
     node = DriveNode(drive, link, cycle_s, arrival_s=(lambda: place.next_arrival_s) if sparse else None)

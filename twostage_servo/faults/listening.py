@@ -65,7 +65,7 @@ class Listener:
         """Take what has arrived."""
         for message in self._link.drain():
             with contextlib.suppress(FrameRejected):
-                if self._profile.is_feedback(message):
+                if message.arbitration_id == self._profile.feedback_id.identifier:
                     feedback = self._profile.decode_feedback(message)
                     position = self._roll_out(feedback.position)
                     self.reports.append(Report(message.timestamp, position, feedback.enabled))

@@ -1,7 +1,7 @@
 """The drive profile: a drive's protocol, compiled from its DBC, seen from the controller and from the drive."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Final, Self
 
@@ -31,8 +31,6 @@ class DriveProfile:
         Identifiers of the two messages.
     index_id, heartbeat_id : Identifier or None
         Identifiers of the index message and of the heartbeat; None when the drive has none.
-    controller_identifiers, drive_identifiers : tuple of Identifier
-        What the controller listens to; what the drive listens to.
     traits : DriveTraits
         What an axis has to know of the drive beforehand. The position has a period where it rolls over: not as an IEEE
         float, nor in a signal that its DBC limits to less than the range of its bits.
@@ -59,30 +57,11 @@ class DriveProfile:
         self.command_id = self._command.identifier
         self.index_id = self._index.identifier if self._index else None
         self.heartbeat_id = self._heartbeat.identifier if self._heartbeat else None
-        self.controller_identifiers = tuple(one for one in (self.feedback_id, self.index_id, self.heartbeat_id) if one)
-        self.drive_identifiers = (self.command_id,)
 
         self.command_counter_modulus = int(command["counter"].maximum) + 1
         self.index_counter_modulus = int(index["counter"].maximum) + 1
         self.boot_counter_modulus = int(heartbeat["boot_counter"].maximum) + 1
-        effort, position = command["effort"], feedback["position"]
-        self.traits = DriveTraits(
-            counter_modulus=int(feedback["counter"].maximum) + 1,
-            position_period=position.period,
-            position_quantum=position.quantum,
-            position_unit=position.unit,
-            says_invalid=_says_invalid(position),
-            effort_limit=min(effort.maximum, -effort.minimum),
-            effort_quantum=effort.quantum,
-            effort_unit=effort.unit,
-            sampling=compiler.sampling,
-            has_heartbeat=self._heartbeat is not None,
-            counts_boots=heartbeat["boot_counter"] is not ABSENT,
-            tells_enabled=feedback["enabled"] is not ABSENT,
-            fault_texts=feedback["fault_code"].choices,
-            state_texts=heartbeat["state"].choices,
-            digest=compiler.dbc_digest,
-        )
+        self.traits = _traits(compiler, feedback, command, heartbeat, has_heartbeat=self._heartbeat is not None)
 
         # In the order of the tuples' fields. The functions themselves, not their codecs: fewer look-ups a frame.
         self._feedback_decoders = tuple(feedback[role].decode for role in Feedback._fields)
@@ -121,10 +100,6 @@ class DriveProfile:
         """
         return cls(Compiler(settings, folder, fd=fd), axis_unit)
 
-    def is_feedback(self, message: ReceivedFrame) -> bool:
-        """Whether the frame has the number of the feedback; :meth:`decode_feedback` judges the rest."""
-        return message.arbitration_id == self.feedback_id.identifier
-
     def is_command(self, message: ReceivedFrame) -> bool:
         """Whether the drive would take the frame for a command, as far as its identifier and kind tell."""
         number, extended = self.command_id
@@ -133,14 +108,6 @@ class DriveProfile:
             and message.is_extended_id == extended
             and not (message.is_remote_frame or message.is_error_frame)
         )
-
-    def is_index(self, message: ReceivedFrame) -> bool:
-        """Whether the frame has the number of the index message; :meth:`decode_index` judges the rest."""
-        return self.index_id is not None and message.arbitration_id == self.index_id.identifier
-
-    def is_heartbeat(self, message: ReceivedFrame) -> bool:
-        """Whether the frame has the number of the heartbeat; :meth:`decode_heartbeat` judges the rest."""
-        return self.heartbeat_id is not None and message.arbitration_id == self.heartbeat_id.identifier
 
     def encode_command(self, effort: float, enable: bool | None, counter: int) -> bytes:
         """Make the data of a command.
@@ -267,6 +234,35 @@ class DriveProfile:
         if self.traits.state_texts and heartbeat.state not in self.traits.state_texts:
             raise FrameRejected("reserved_value", message, f"state {heartbeat.state} is not in the DBC's value table")
         return heartbeat
+
+
+def _traits(
+    compiler: Compiler,
+    feedback: Mapping[str, SignalCodec],
+    command: Mapping[str, SignalCodec],
+    heartbeat: Mapping[str, SignalCodec],
+    *,
+    has_heartbeat: bool,
+) -> DriveTraits:
+    """Say what the codecs of each message's roles come to for an axis."""
+    effort, position = command["effort"], feedback["position"]
+    return DriveTraits(
+        counter_modulus=int(feedback["counter"].maximum) + 1,
+        position_period=position.period,
+        position_quantum=position.quantum,
+        position_unit=position.unit,
+        says_invalid=_says_invalid(position),
+        effort_limit=min(effort.maximum, -effort.minimum),
+        effort_quantum=effort.quantum,
+        effort_unit=effort.unit,
+        sampling=compiler.sampling,
+        has_heartbeat=has_heartbeat,
+        counts_boots=heartbeat["boot_counter"] is not ABSENT,
+        tells_enabled=feedback["enabled"] is not ABSENT,
+        fault_texts=feedback["fault_code"].choices,
+        state_texts=heartbeat["state"].choices,
+        digest=compiler.dbc_digest,
+    )
 
 
 def _says_invalid(position: SignalCodec) -> bool:
