@@ -10,7 +10,8 @@ import pytest
 from can import Message
 
 from twostage_servo.api.requests import OPERATIONS
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.build import build_parts
+from twostage_servo.app.closed_loop import ServiceHarness
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State
@@ -21,8 +22,10 @@ from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE
 from twostage_servo.paper.errata import errata_table
+from twostage_servo.service.runtime import Runtime
 from twostage_servo.service.settings import ServiceSettings
 from twostage_servo.service.status_line import WORDS
+from twostage_servo.timing.ticks import Ticks
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -93,7 +96,8 @@ def test_every_request_state_and_field_is_in_the_page_on_the_control_socket() ->
     assert set(re.findall(r'`\{"op": "(\w+)"', CONTROL_SOCKET)) == set(OPERATIONS)
     for state in State:
         assert f"`{state}`" in CONTROL_SOCKET
-    snapshot = build_service(load(None)).snapshot()
+    parts = build_parts(load(None))
+    snapshot = ServiceHarness(parts, Runtime(Ticks(parts.period_s))).snapshot()
     groups = {name for name, value in snapshot.items() if isinstance(value, dict)} | {"move", "trip", "realtime"}
     assert set(re.findall(r"^\| `(\w+)` \|", section("The snapshot"), re.MULTILINE)) == groups
     for name in (*snapshot["inputs"], *snapshot["lease"], "rejected_by_reason", "file_error", "escalation"):

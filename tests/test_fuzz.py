@@ -204,7 +204,7 @@ def test_the_service_counts_each_of_them_and_does_nothing_else() -> None:
         bench.answer_as_drive(heartbeat=False)
         if bad:
             bench.bus.queue.append(bad.pop())
-        elif not bench.service.is_ending:
+        elif not bench.service.shutdown.is_ending:
             bench.service.shut_down()
 
     expected = len(bad)

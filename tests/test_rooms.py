@@ -23,8 +23,7 @@ def package(folder: Path, sources: Mapping[str, str]) -> list[Import]:
 
 
 def test_no_modules_import_each_other() -> None:
-    # Those of the service do until they are composed.
-    assert [circle for circle in circles(IMPORTS) if not all(name.startswith("service.") for name in circle)] == []
+    assert circles(IMPORTS) == []
 
 
 def test_each_room_imports_from_those_below_it() -> None:

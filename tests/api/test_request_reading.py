@@ -144,7 +144,7 @@ def test_lines_that_only_speak_of_a_stop_take_no_urgent_turn(tmp_path: Path) -> 
     ranks: list[Priority] = []
 
     async def script(world: World, _: ControlSocket) -> None:
-        turn = world.service.background.slot
+        turn = world.loop.parts.background.slot
 
         @contextlib.asynccontextmanager
         async def noted(rank: Priority) -> AsyncIterator[None]:
@@ -154,7 +154,7 @@ def test_lines_that_only_speak_of_a_stop_take_no_urgent_turn(tmp_path: Path) -> 
 
         operator = await connect(tmp_path / "s")
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(world.service.background, "slot", noted)
+            patch.setattr(world.loop.parts.background, "slot", noted)
             assert await operator.refused(op="status", axis="stop") == "which_axis"
             assert (await operator.send(b'{"op":"stop","k":1}'))["error"]["code"] == "bad_request"
             assert (await operator.send(b'"stop" "disarm"'))["error"]["code"] == "bad_request"

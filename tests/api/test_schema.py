@@ -113,7 +113,7 @@ def test_the_answers_of_a_running_service_are_as_the_schema_says_and_can_be_read
 
 def test_the_status_of_several_axes_is_as_the_schema_says(tmp_path: Path) -> None:
     async def script(plant: Plant) -> None:
-        answer = json.loads(json.dumps(plant.service.snapshot()))
+        answer = json.loads(json.dumps(plant.loop.snapshot()))
         assert of_status(answer) == []
         status = Status.from_json(answer)
         assert list(status.axes) == ["x", "y"]
@@ -126,7 +126,7 @@ def test_the_status_of_several_axes_is_as_the_schema_says(tmp_path: Path) -> Non
 
 def test_what_is_no_status_is_told_by_its_name() -> None:
     async def script(world: World) -> dict[str, Any]:
-        answer: dict[str, Any] = json.loads(json.dumps(world.service.snapshot()))
+        answer: dict[str, Any] = json.loads(json.dumps(world.loop.snapshot()))
         return answer
 
     answer = simulate(script)

@@ -11,8 +11,9 @@ import pytest
 from tests.service.rig import BUS, World, simulate
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
 from tests.telemetry.test_recorder import record
-from twostage_servo.app.assembly import build_drive, build_service, cyclic_frames, design, socket_path, traits_of
+from twostage_servo.app.assembly import build_drive, cyclic_frames, design, socket_path
 from twostage_servo.app.axes_preparation import Job, prepare
+from twostage_servo.app.build import build_parts, traits_of
 from twostage_servo.axis.messages import Feedback, Reception
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.errors import ConfigError
@@ -37,10 +38,10 @@ def test_axes_of_one_channel_share_its_bus_and_all_of_them_the_machines_tick(tmp
     text = path.read_text(encoding="utf-8")
     path.write_text(text.replace("tick_ms = 10.0", "tick_ms = 5.0\nrecording_s = 1.5"), encoding="utf-8")
     machine = load_machine(path)
-    service = build_service(machine)
-    assert service.ticks.period_s == pytest.approx(0.005)
+    service = build_parts(machine)
+    assert service.period_s == pytest.approx(0.005)
     assert [axis_loop.name for axis_loop in service.axis_loops] == ["x", "y", "z"]
-    assert [[axis_loop.name for axis_loop in bus.axis_loops] for bus in service.buses] == [["x", "y"], ["z"]]
+    assert [service.buses.index(axis_loop.bus) for axis_loop in service.axis_loops] == [0, 0, 1]
     assert [bus.link.settings.channel for bus in service.buses] == ["can0", "can1"]
     for axis_loop in service.axis_loops:
         assert axis_loop.axis.design.period_s == pytest.approx(0.005)
@@ -58,10 +59,10 @@ def test_a_bus_that_is_given_takes_the_place_of_the_configured_ones(tmp_path: Pa
         opened.append(settings)
         raise can.CanError("no bus")
 
-    service = build_service(machine, BUS, opener)
+    service = build_parts(machine, BUS, opener)
     (bus,) = service.buses
     assert bus.link.settings is BUS
-    assert [axis_loop.name for axis_loop in bus.axis_loops] == ["x", "y", "z"]
+    assert service.names == ["x", "y", "z"]
     with pytest.raises(Exception, match="no bus"):
         bus.link.open()
     assert opened == [BUS]
@@ -79,9 +80,9 @@ def test_the_design_is_for_the_tick_that_is_asked_for() -> None:
 def test_the_effort_limit_may_be_all_that_the_command_signal_carries() -> None:
     profile = compile_profile(load(None))
     loaded = load(None, [f"axis.limits.effort={profile.traits.effort_limit}"])
-    build_service(loaded)
+    build_parts(loaded)
     with pytest.raises(ConfigError, match="carries at most"):
-        build_service(load(None, [f"axis.limits.effort={1.001 * profile.traits.effort_limit}"]))
+        build_parts(load(None, [f"axis.limits.effort={1.001 * profile.traits.effort_limit}"]))
 
 
 @pytest.mark.parametrize(("overrun", "taken"), [(15.0, True), (17.0, False)])
@@ -95,10 +96,10 @@ def test_the_travel_that_an_encoder_must_tell_apart_has_the_overrun_at_both_ends
         "axis.limits.stale_feedback_ms=500", "axis.limits.undetected_travel=30",
     ]  # fmt: skip
     if taken:
-        build_service(load(None, overrides))
+        build_parts(load(None, overrides))
     else:
         with pytest.raises(ConfigError) as refused:
-            build_service(load(None, overrides))
+            build_parts(load(None, overrides))
         assert keys(refused) == ["axis.limits.stale_feedback_ms"]
 
 
@@ -194,7 +195,7 @@ def test_how_long_the_end_may_take_is_the_braking_the_slowest_drive_and_what_com
 def test_what_only_a_restart_can_follow_is_refused_by_its_table(table: str, override: str) -> None:
     async def script(world: World) -> Callable[[], str | None]:
         running = Machine.of(load(None))
-        traits = traits_of(world.service)
+        traits = traits_of(world.service.axis_loops)
         path = shipped_configuration("demo.toml")
         return lambda: prepare(Job(path, (override,), pickle.dumps(running), traits, 0.01)).problem
 

@@ -1,5 +1,7 @@
 """What makes a service punctual on its host: put in place while it runs, told, and taken back."""
 
+import asyncio
+import contextlib
 import gc
 
 import pytest
@@ -12,8 +14,8 @@ from twostage_servo.host import realtime
 from twostage_servo.host.garbage import GarbageCollection
 from twostage_servo.host.realtime import Grant, RealtimeReport
 from twostage_servo.host.settings import RealtimeSettings
+from twostage_servo.service.runtime import Runtime
 from twostage_servo.timing.output_offset import FixedOffset
-from twostage_servo.timing.ticks import Tick
 from twostage_servo.timing.wake_margin import FixedMargin
 
 GRANTED = Grant("cpus", "0", "0")
@@ -32,11 +34,15 @@ def settings(**values: object) -> RealtimeSettings:
     )
 
 
+def punctual_of(world: World, **values: object) -> contextlib.AbstractContextManager[Runtime]:
+    return punctual(settings(**values), world.service.axis_loops, world.parts.period_s)
+
+
 def test_what_was_granted_and_refused_stands_in_the_log_and_in_the_status() -> None:
     async def script(world: World) -> None:
-        assert world.service.snapshot()["realtime"] is None
-        with punctual(world.service, settings()):
-            assert world.service.snapshot()["realtime"] == {
+        with punctual_of(world) as runtime:
+            assert runtime.report is not None
+            assert runtime.report().to_json() == {
                 "busy_wait": 100.0, "margin_us": 100.0, "output_offset": 300.0, "output_offset_us": 300.0,
                 "granted": {"cpus": "0"},
                 "refused": [
@@ -61,15 +67,16 @@ def test_what_was_granted_and_refused_stands_in_the_log_and_in_the_status() -> N
 
 def test_the_loop_gets_the_margin_and_the_offset_that_were_asked_for() -> None:
     async def script(world: World) -> None:
-        with punctual(world.service, settings()):
-            assert isinstance(world.service.ticks.margin, FixedMargin)
-            assert world.service.ticks.margin_s == pytest.approx(100e-6)
-            assert isinstance(world.service.output_offset, FixedOffset)
-            assert world.service.output_offset.offset_s == pytest.approx(300e-6)
-            assert world.service.after_tick is None
-        with punctual(world.service, settings(busy_wait="off", output_offset="off")):
-            told = world.service.snapshot()["realtime"]
-            assert (told["margin_us"], told["output_offset_us"]) == (0.0, None)
+        with punctual_of(world) as runtime:
+            assert isinstance(runtime.ticks.margin, FixedMargin)
+            assert runtime.ticks.margin_s == pytest.approx(100e-6)
+            assert isinstance(runtime.output_offset, FixedOffset)
+            assert runtime.output_offset.offset_s == pytest.approx(300e-6)
+            assert runtime.idle == ()
+        with punctual_of(world, busy_wait="off", output_offset="off") as runtime:
+            assert runtime.report is not None
+            told = runtime.report()
+            assert (told.margin_us, told.output_offset_us) == (0.0, None)
 
     simulate(script)
 
@@ -83,7 +90,7 @@ def test_the_step_of_each_axis_has_run_before_the_first_tick(monkeypatch: pytest
     async def script(world: World) -> None:
         monkeypatch.setattr(module, "warm_up", warm_up)
         before = world.axis.effort
-        with punctual(world.service, settings()):
+        with punctual_of(world):
             assert world.axis.effort == before  # it is another law than the axis'
 
     simulate(script)
@@ -92,9 +99,14 @@ def test_the_step_of_each_axis_has_run_before_the_first_tick(monkeypatch: pytest
 
 def test_garbage_is_collected_between_ticks_as_long_as_the_service_is_punctual() -> None:
     async def script(world: World) -> None:
-        with punctual(world.service, settings(collect_garbage="between_ticks")):
+        with punctual(
+            settings(collect_garbage="between_ticks"), world.service.axis_loops, world.parts.period_s
+        ) as runtime:
             assert not gc.isenabled()
-            told = world.service.snapshot()["realtime"]["garbage"]
+            assert runtime.report is not None
+            (idle,) = runtime.idle
+            world.loop.listen(lambda tick: idle.open(tick.deadline_s + world.parts.period_s))
+            told = runtime.report().to_json()["garbage"]
             assert set(told) == {"collections", "postponed", "longest_us"}
             cycles: list[object] = []
             for _ in range(2000):
@@ -102,11 +114,10 @@ def test_garbage_is_collected_between_ticks_as_long_as_the_service_is_punctual()
                 cycle.append(cycle)
                 cycles.append(cycle)
             await world.seconds(0.1)
-            told = world.service.snapshot()["realtime"]["garbage"]
+            told = runtime.report().to_json()["garbage"]
             assert told["collections"] >= 1
             assert told["longest_us"] > 0.0
         assert gc.isenabled()
-        assert world.service.after_tick is None
 
     was_enabled = gc.isenabled()
     try:
@@ -125,14 +136,16 @@ def test_the_idle_time_ends_where_the_loop_begins_to_wait_for_the_next_deadline(
     async def script(world: World) -> None:
         if driven:
             await world.armed()
-        with punctual(world.service, settings(collect_garbage="between_ticks")):
+        with punctual(
+            settings(collect_garbage="between_ticks"), world.service.axis_loops, world.parts.period_s
+        ) as runtime:
             monkeypatch.setattr(
                 GarbageCollection,
                 "after_tick",
                 lambda _, idle_s, *, driven: asked.append((idle_s, driven)),
             )
-            assert world.service.after_tick is not None
-            world.service.after_tick(Tick(7, 5.0, 0.0, 0), 5.002)
+            (idle,) = runtime.idle
+            idle.open(asyncio.get_running_loop().time() + 0.0079)
 
     simulate(script)
     (idle_s, is_driven) = asked[0]

@@ -1,6 +1,7 @@
 """`reload` as an operator sees it: prepared outside the loop, swapped in within one tick."""
 
 import asyncio
+import dataclasses
 import json
 import pickle
 import subprocess
@@ -17,15 +18,14 @@ from tests.service.test_reload import DEMO, change
 from twostage_servo.api.requests import ReloadRequest
 from twostage_servo.app import assembly
 from twostage_servo.app import reloading as module
-from twostage_servo.app.assembly import traits_of
 from twostage_servo.app.axes_preparation import Job, Prepared, prepare
+from twostage_servo.app.build import traits_of
 from twostage_servo.app.reloading import Reloading, by_a_process
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine
-from twostage_servo.service.control_socket import ControlSocket
 
 
 @pytest.fixture
@@ -36,7 +36,8 @@ def file(tmp_path: Path) -> Path:
 
 
 def reloading(world: World, file: Path, carry_out: Callable[[Job], Prepared] = prepare) -> Reloading:
-    return Reloading(world.service, Machine.of(load(file)), file, (), carry_out)
+    parts = dataclasses.replace(world.parts, machine=Machine.of(load(file)))
+    return Reloading(parts, file, (), carry_out)
 
 
 async def ask(path: Path, *lines: str) -> list[dict[str, Any]]:
@@ -50,7 +51,11 @@ async def ask(path: Path, *lines: str) -> list[dict[str, Any]]:
 def test_a_process_of_its_own_does_the_same_as_this_one(file: Path) -> None:
     async def script(world: World) -> tuple[Prepared, Prepared]:
         job = Job(
-            file, ("axis.cruise_velocity=40.0",), pickle.dumps(Machine.of(load(file))), traits_of(world.service), 0.01
+            file,
+            ("axis.cruise_velocity=40.0",),
+            pickle.dumps(Machine.of(load(file))),
+            traits_of(world.service.axis_loops),
+            0.01,
         )
         return by_a_process(job), prepare(job)
 
@@ -66,7 +71,7 @@ def test_a_process_of_its_own_does_the_same_as_this_one(file: Path) -> None:
 
 def test_a_file_that_is_wrong_is_told_by_the_process(file: Path) -> None:
     async def script(world: World) -> Prepared:
-        job = Job(file, (), pickle.dumps(Machine.of(load(file))), traits_of(world.service), 0.01)
+        job = Job(file, (), pickle.dumps(Machine.of(load(file))), traits_of(world.service.axis_loops), 0.01)
         change(file, 'unit = "mm"', 'unit = "deg"')
         return by_a_process(job)
 
@@ -79,10 +84,10 @@ def test_a_process_that_fails_changes_nothing(file: Path) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         axis = world.axis
-        job = Job(file, (), b"no pickle", traits_of(world.service), 0.01)
-        world.service.desk.prepare = reloading(world, file, lambda _: by_a_process(job)).prepare
+        job = Job(file, (), b"no pickle", traits_of(world.service.axis_loops), 0.01)
+        world.prepare = reloading(world, file, lambda _: by_a_process(job)).prepare
         with pytest.raises(Refused, match=r"could not be read again, and nothing has changed.* ended with code 1"):
-            await world.service.desk.prepare_reload("somebody")
+            await world.requests.prepare_reload("somebody")
         assert world.axis is axis
         await world.armed()
 
@@ -109,8 +114,8 @@ def test_the_loop_designs_nothing_and_swaps_all_axes_in_one_turn(
             designed += 1
             raise AssertionError
 
-        world.service.desk.prepare = reloading(world, file, elsewhere).prepare
-        control = ControlSocket(tmp_path / "control.sock", world.service)
+        world.prepare = reloading(world, file, elsewhere).prepare
+        control = world.loop.control_socket(tmp_path / "control.sock")
         await control.start()
         change(file, "cruise_velocity = 100.0", "cruise_velocity = 40.0")
         (answer,) = await ask(tmp_path / "control.sock", '{"op": "reload"}')
@@ -120,7 +125,7 @@ def test_the_loop_designs_nothing_and_swaps_all_axes_in_one_turn(
         assert (designed, len(done)) == (0, 1)
         assert world.service.statistics.missed == 0
         await world.seconds(0.05)
-        assert world.service.snapshot()["axis"]["position"] == 50.0
+        assert world.loop.snapshot()["axis"]["position"] == 50.0
         await control.stop()
 
     simulate(script)
@@ -129,7 +134,7 @@ def test_the_loop_designs_nothing_and_swaps_all_axes_in_one_turn(
 def test_while_one_is_prepared_another_is_refused_and_an_axis_that_was_armed_keeps_its_settings(file: Path) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        desk, axis = world.service.desk, world.axis
+        requests, axis = world.requests, world.axis
         go_on = asyncio.Event()
         usual = reloading(world, file).prepare
 
@@ -137,21 +142,21 @@ def test_while_one_is_prepared_another_is_refused_and_an_axis_that_was_armed_kee
             await go_on.wait()
             return await usual()
 
-        desk.prepare = slowly
-        first = asyncio.create_task(desk.prepare_reload("first"))
+        world.prepare = slowly
+        first = asyncio.create_task(requests.prepare_reload("first"))
         await world.seconds(0.02)
         with pytest.raises(Refused, match="has asked for `reload` just now") as refused:
-            await desk.prepare_reload("first")
+            await requests.prepare_reload("first")
         assert refused.value.code == "busy"
         axis.arm()
         go_on.set()
         await first
-        assert desk.is_prepared("first")
+        assert requests._reload.is_prepared("first")
         with pytest.raises(Refused, match="settings are read again only while disarmed") as refused:
-            world.service.handle(ReloadRequest(), "first")
+            world.requests.handle(ReloadRequest(), "first")
         assert refused.value.code == "armed"
         assert world.axis is axis
-        assert not desk.is_prepared("first")
+        assert not requests._reload.is_prepared("first")
 
     simulate(script)
 
@@ -159,22 +164,22 @@ def test_while_one_is_prepared_another_is_refused_and_an_axis_that_was_armed_kee
 def test_what_was_read_again_is_compared_with_what_is_read_next(file: Path) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        desk = world.service.desk
-        desk.prepare = reloading(world, file).prepare
+        requests = world.requests
+        world.prepare = reloading(world, file).prepare
         for velocity in ("40.0", "60.0"):
             change(
                 file,
                 "cruise_velocity = " + ("100.0" if velocity == "40.0" else "40.0"),
                 f"cruise_velocity = {velocity}",
             )
-            await desk.prepare_reload("this process")
+            await requests.prepare_reload("this process")
             with structlog.testing.capture_logs() as logs:
-                world.service.handle(ReloadRequest())
+                world.requests.handle(ReloadRequest())
             assert world.axis.settings.cruise_velocity == float(velocity)
             assert logs == [{"event": "configuration read again", "log_level": "info", "config": str(file)}]
         change(file, 'channel = "twostage-servo-demo"', 'channel = "another"')
         with pytest.raises(Refused, match=r"\[bus\] has changed: only a restart"):
-            await desk.prepare_reload("this process")
+            await requests.prepare_reload("this process")
 
     simulate(script)
 

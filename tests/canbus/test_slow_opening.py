@@ -115,7 +115,7 @@ def test_a_port_closes_while_its_bus_is_still_opening_and_what_comes_of_that_is_
     link = link_to(blocked.slow_to_open)
 
     async def scenario() -> None:
-        port = BusConnection(link, [], 0.01)
+        port = BusConnection(link, 0.01)
         port.start()
         await came(blocked.entered)
         await port.close()
@@ -156,7 +156,7 @@ def test_a_bus_that_is_lost_is_shut_down_by_the_thread_and_not_in_the_tick() -> 
     link = link_to(blocked.slow_to_close)
 
     async def scenario() -> None:
-        port = BusConnection(link, [], 0.01)
+        port = BusConnection(link, 0.01)
         await link.open_in_thread()
         port.error = None
         port._lose(LinkError("gone"))

@@ -22,7 +22,7 @@ def snapshots() -> Snapshots:
     told: Snapshots = {}
 
     def tell(name: str, world: World) -> None:
-        told[name] = copy.deepcopy(json.loads(json.dumps(world.service.snapshot())))
+        told[name] = copy.deepcopy(json.loads(json.dumps(world.loop.snapshot())))
 
     async def script(world: World) -> None:
         await world.armed()

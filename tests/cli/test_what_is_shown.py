@@ -10,7 +10,6 @@ from tests.service.rig import World, simulate
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.client import Answer
 from twostage_servo.cli.output import CommandError, ExitCode
-from twostage_servo.service.status_line import status_line
 from twostage_servo.telemetry.trip_files import TripFiles
 
 CLOSED = "the bus is closed: socketcan can0 cannot be opened: Network is down"
@@ -24,10 +23,10 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Snapshots:
     (folder / "file").write_text("not a folder", encoding="utf-8")
 
     def tell(name: str, world: World) -> None:
-        told[name] = json.loads(json.dumps(world.service.snapshot()))
+        told[name] = json.loads(json.dumps(world.loop.snapshot()))
 
     async def script(world: World) -> None:
-        told["start"] = json.loads(json.dumps(world.service.snapshot()))
+        told["start"] = json.loads(json.dumps(world.loop.snapshot()))
         await world.until(lambda: world.axis.ready_to_arm)
         tell("disarmed", world)
         world.wire.disturb = lambda sender, message, _: [] if sender == "drive" else [(0.0, message)]
@@ -38,13 +37,13 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Snapshots:
         tell("closed", world)
         world.axis_loop.bus.error = None
         world.wire.disturb = None
-        world.axis_loop.event_log.trip_files = TripFiles(folder / "file" / "trips")
+        world.loop.trip_files.files = TripFiles(folder / "file" / "trips")
         await world.armed()
         world.axis.raise_trip(TripCode.SPEED_UNREACHABLE, "it does not come to that")
         world.axis.raise_trip(TripCode.DRIVE_FAULT, "the drive reports fault code 7")
         await world.seconds(0.5)
         tell("no file", world)
-        told["line"] = {"line": status_line(world.service, 0)}
+        told["line"] = {"line": world.line()}
 
     simulate(script)
     return told

@@ -66,8 +66,8 @@ def test_leaving_gives_authority_back_and_what_was_asked_for_goes_on(tmp_path: P
         async with twostage_servo.connect_async(path) as axis:
             await axis.arm()
             await axis.move(200.0)
-            assert world.service.snapshot()["lease"]["holder"] is not None
-        assert world.service.snapshot()["lease"]["holder"] is None
+            assert world.loop.snapshot()["lease"]["holder"] is not None
+        assert world.loop.snapshot()["lease"]["holder"] is None
         assert world.state() in MOVING
 
     serve(path, script)
@@ -89,7 +89,7 @@ def test_an_error_in_the_block_stops_the_axis_before_authority_is_given_back(
         with pytest.raises(type(error)):
             await slip()
         assert world.state() is State.STOPPING
-        assert world.service.snapshot()["lease"]["holder"] is None
+        assert world.loop.snapshot()["lease"]["holder"] is None
         move = world.axis.move
         assert move is not None
         assert move.outcome is MoveOutcome.STOPPED

@@ -63,8 +63,8 @@ FIELDS: Final[dict[str, str]] = {
         "axis code told_ms moved"
     ),
     "not suspended: a controller that stands still is dead to its drive; SIGTERM or Ctrl-C ends it": "signal",
-    "trip file": "room path",
-    "no trip file": "room error",
+    "trip file": "room trip path",
+    "no trip file": "room trip error",
     "a trip file is not written, its disk hangs": "room folder",
     "log lines were lost: whoever reads the log does not keep up": "lines",
 }

@@ -58,8 +58,8 @@ def serve(path: Path, script: Callable[[World, ControlSocket], Awaitable[None]],
     """Run service, drive and control socket in simulated time until the script ends."""
 
     async def main(world: World) -> None:
-        control = ControlSocket(path, world.service)
-        world.service.publishers.append(lambda tick: control.publish(tick.index))
+        control = world.loop.control_socket(path)
+        world.loop.listen(control.publish)
         await control.start()
         try:
             await world.until(lambda: world.axis.ready_to_arm)

@@ -1,26 +1,30 @@
 """The real service and the real drive node on a simulated bus, in simulated time."""
 
 import asyncio
-import functools
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import can
 
-from twostage_servo.app.assembly import build_service, drive_side
+from twostage_servo.api.requests import ReloadRequest
+from twostage_servo.app.build import Parts
+from twostage_servo.app.closed_loop import ClosedLoop, Wires, closed_loop
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Command
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import State
-from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.loader import load
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.faults.frames import profile_of
 from twostage_servo.service.axis_loop import AxisLoop
+from twostage_servo.service.reload import Change
+from twostage_servo.service.request_handler import RequestHandler
 from twostage_servo.service.servo_service import ServoService
+from twostage_servo.service.snapshot import report_axis
+from twostage_servo.service.status_line import StatusLine, status_line
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
-from twostage_servo.simulation.node import DriveNode
 from twostage_servo.timing.ticks import Tick, Ticks
 from twostage_servo.timing.virtual_clock import run
 
@@ -46,17 +50,76 @@ class BusyTicks(Ticks):
         return await super().__anext__()
 
 
-@dataclass
 class World:
-    """What a script can look at and act on."""
+    """What a script can look at and act on.
 
-    service: ServoService
-    axis_loop: AxisLoop
-    drive: SimulatedDrive
-    wire: Wire
-    ticks: BusyTicks
-    serving: "asyncio.Task[None]"
-    trace: list[tuple[int, str, int, bytes]] = field(default_factory=list)
+    Attributes
+    ----------
+    trace
+        Each frame of the service: tick, `sent` or `received`, identifier, data.
+    sign_of_life
+        Called after each completed tick.
+    prepare
+        Reads the configuration again, for `reload`.
+    """
+
+    def __init__(self, trace: "list[tuple[int, str, int, bytes]]") -> None:
+        self.loop: ClosedLoop
+        self.wire: Wire
+        self.ticks: BusyTicks
+        self.trace = trace
+        self.sign_of_life: Callable[[float], None] = lambda _: None
+        self.prepare: Callable[[], Awaitable[Change]] | None = None
+
+    @property
+    def service(self) -> ServoService:
+        return self.loop.service
+
+    @property
+    def requests(self) -> RequestHandler:
+        return self.loop.requests
+
+    @property
+    def axis_loop(self) -> AxisLoop:
+        return self.loop.axis_loop()
+
+    @property
+    def drive(self) -> SimulatedDrive:
+        return self.loop.axes[self.axis_loop.name].drive
+
+    @property
+    def serving(self) -> "asyncio.Task[None]":
+        return self.loop.serving
+
+    def completed(self, now_s: float) -> None:
+        self.sign_of_life(now_s)
+
+    async def prepare_reload(self) -> Change:
+        if self.prepare is None:
+            raise Refused(RefusalCode.NO_CONFIGURATION, "this service runs on settings that stand in no file.")
+        return await self.prepare()
+
+    @property
+    def parts(self) -> Parts:
+        return self.loop.parts
+
+    def line(self, missed: int = 0) -> str:
+        """The line for the service manager."""
+        return status_line(self.service.axis_loops, missed, is_ending=self.service.shutdown.is_ending)
+
+    def status_line(self, show: Callable[[str], bool]) -> StatusLine:
+        parts = self.parts
+        return StatusLine(parts.axis_loops, parts.statistics, parts.shutdown, parts.period_s, show)
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """The report of the axis."""
+        return report_axis(self.axis_loop).to_json()
+
+    async def reload(self, client: str = "this process") -> dict[str, Any]:
+        """Let the service read its configuration again."""
+        await self.requests.prepare_reload(client)
+        return self.requests.handle(ReloadRequest(), client)
 
     @property
     def axis(self) -> Axis:
@@ -69,7 +132,7 @@ class World:
 
     def hear(self, message: can.Message) -> None:
         """Let a frame come in, as if it had just been read."""
-        self.axis_loop.bus._takers[message.arbitration_id](message)
+        self.axis_loop.bus._receivers[message.arbitration_id](message)
 
     def state(self) -> State:
         return self.axis.state
@@ -120,30 +183,29 @@ def simulate(
     unseen: list[dict[str, object]] = []  # what went wrong in the loop, in a callback or a task that nobody waits for
 
     async def main() -> _Result:
-        loop = asyncio.get_running_loop()
-        loop.set_exception_handler(lambda _, context: unseen.append(context))
-        wire = Wire(loop.time)
-        service = build_service(loaded, bus, lambda _: opener(wire))
-        service.ticks = ticks = BusyTicks(service.ticks.period_s)
-        axis_loop = service.axis_loop()
-        side = drive_side(loaded, axis_loop.drive)
-        drive = SimulatedDrive(loaded.config.simulation, side, loop.time())
-        link = Link(BUS, side.identifiers, functools.partial(wire.attach, "drive"))
-        node = DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3)
-        driving = asyncio.create_task(node.run())
-        world = World(service, axis_loop, drive, wire, ticks, asyncio.create_task(service.run()))
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: unseen.append(context))
+        trace: list[tuple[int, str, int, bytes]] = []
+        world, wires = World(trace), Wires(opener)
+
+        def ticks(period_s: float) -> BusyTicks:
+            world.ticks = BusyTicks(period_s)
+            return world.ticks
 
         def observe(tick: int, direction: str, identifier: int, data: bytes) -> None:
-            world.trace.append((tick, direction, identifier, data))
+            trace.append((tick, direction, identifier, data))
 
-        axis_loop.bus.observers.append(observe)
-        try:
+        async with closed_loop(
+            loaded,
+            bus=bus,
+            wires=wires,
+            node_name=lambda _: "drive",
+            ticks=ticks,
+            observers=(observe,),
+            prepare_reload=world.prepare_reload,
+            sign_of_life=world.completed,
+        ) as loop:
+            world.loop, world.wire = loop, wires.wire(bus)
             return await script(world)
-        finally:
-            service.shut_down()
-            await asyncio.gather(world.serving, return_exceptions=True)
-            node.stop()
-            await driving
 
     result = run(main())
     assert unseen == []

@@ -156,7 +156,7 @@ def test_a_reload_that_cannot_be_prepared_takes_no_lease(path: Path) -> None:
         async def fail() -> Callable[[], None]:
             raise Refused(RefusalCode.CONFIG, "line 3 is wrong")
 
-        world.service.desk.prepare = fail
+        world.prepare = fail
         operator = await connect(path)
         assert await operator.refused(op="reload") == "config"
         assert (await operator.done(op="status"))["lease"]["holder"] is None
@@ -194,7 +194,7 @@ def test_a_connection_that_dies_in_mid_move(path: Path, policy: str, ends: str, 
         operator = await commanding(world, path)
         operator.die()
         await world.seconds(0.02)
-        assert world.service.snapshot()["lease"] == {"holder": None}
+        assert world.loop.snapshot()["lease"] == {"holder": None}
         await world.until(lambda: outcome(world)[0] != "moving")
         how, reason = outcome(world)
         assert how == ends

@@ -45,7 +45,7 @@ def flood(world: World, frames_a_tick: int) -> None:
         for _frame in range(frames_a_tick):
             node.inject(FOREIGN)
 
-    world.service.publishers.append(after_each_tick)
+    world.loop.listen(after_each_tick)
 
 
 def most(world: World) -> int:
@@ -74,7 +74,7 @@ def test_a_held_axis_does_not_swing_on_feedback_that_waits_behind_foreign_frames
         assert "2 reads in a row" in cause
         assert world.state() is State.TRIPPED
         assert farthest < 40.0  # 3 V for 2 s, which nothing holds once the drive is off
-        shown = world.service.snapshot()
+        shown = world.loop.snapshot()
         assert shown["axis"]["position"] is None
         assert shown["frames"]["overruns"] > 100
         assert shown["frames"]["late"] > 0
@@ -91,7 +91,7 @@ def test_frames_that_each_tick_empties_change_nothing(bus, opener) -> None:  # t
         await world.until(lambda: world.axis.move is not None and world.axis.move.outcome != "moving")
         assert world.axis.move is not None
         assert world.axis.move.outcome == "reached"
-        frames = world.service.snapshot()["frames"]
+        frames = world.loop.snapshot()["frames"]
         assert (frames["overruns"], frames["late"], frames["predicted"]) == (0, 0, 0)
 
     simulate(script, bus=bus, opener=opener)
@@ -105,7 +105,7 @@ def test_one_burst_is_bridged(bus, opener) -> None:  # type: ignore[no-untyped-d
             world.wire.node("service").inject(FOREIGN)
         await world.seconds(0.5)
         assert world.axis.trip is None
-        frames = world.service.snapshot()["frames"]
+        frames = world.loop.snapshot()["frames"]
         assert frames["overruns"] == 1
         assert frames["late"] <= 1
         assert frames["lost"] == 0
@@ -141,7 +141,7 @@ def test_what_a_stall_has_left_is_read_in_the_tick_after_it(bus, opener) -> None
         await world.seconds(0.5)
         assert world.service.statistics.missed == 2
         assert world.axis.trip is None
-        assert world.service.snapshot()["frames"]["overruns"] == 0
+        assert world.loop.snapshot()["frames"]["overruns"] == 0
 
     simulate(script, bus=bus, opener=opener)
 

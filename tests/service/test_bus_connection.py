@@ -21,10 +21,10 @@ def test_the_bus_is_looked_after_once_a_second_though_every_other_tick_is_missed
     looked = []
     link = Link(BUS, [])
     monkeypatch.setattr(link, "check", lambda: looked.append(True))
-    bus = BusConnection(link, [], 0.01)
+    bus = BusConnection(link, 0.01)
     bus.error = None
     for index in range(first, 1000, 2):
-        bus.publish(Tick(index, 0.01 * index, 0.0, 1))
+        bus.look_after(Tick(index, 0.01 * index, 0.0, 1))
     assert len(looked) == 10
 
 
@@ -41,13 +41,13 @@ def test_an_interface_without_carrier_is_looked_at_again_before_it_counts_as_bus
             raise LinkError("no frame can be sent") from OSError(code, "")
 
     link = Link(BUS, [])
-    bus = BusConnection(link, [], 0.01)
+    bus = BusConnection(link, 0.01)
     monkeypatch.setattr(link, "check", check)
     monkeypatch.setattr(bus, "_lose", lost.append)
     bus.error = None
-    bus.publish(Tick(100, 1.0, 0.0, 0))
+    bus.look_after(Tick(100, 1.0, 0.0, 0))
     assert lost == []
-    bus.publish(Tick(101, 1.01, 0.0, 0))
+    bus.look_after(Tick(101, 1.01, 0.0, 0))
     assert [getattr(error.__cause__, "errno", None) for error in lost] == ([] if then is None else [then])
 
 
@@ -62,7 +62,7 @@ def test_a_bus_that_does_not_close_is_waited_for_a_second_and_told(
             loop.call_later(0.5, closing.set_result, None)
         link = Link(BUS, [])
         monkeypatch.setattr(link, "let_go", lambda: closing)
-        await BusConnection(link, [], 0.01).close()
+        await BusConnection(link, 0.01).close()
         return loop.time()
 
     with structlog.testing.capture_logs() as logs:
@@ -79,7 +79,7 @@ def test_attempts_to_open_the_bus_are_the_reopen_interval_apart_also_those_that_
     async def script() -> None:
         loop = asyncio.get_running_loop()
         link = Link(BUS, [])
-        bus = BusConnection(link, [], 0.01)
+        bus = BusConnection(link, 0.01)
 
         async def open_in_thread() -> None:
             attempts_s.append(loop.time())
@@ -105,7 +105,7 @@ def test_attempts_to_open_the_bus_are_the_reopen_interval_apart_also_those_that_
 def test_after_missed_ticks_as_much_more_is_read_up_to_ten(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[int] = []
     link = Link(BUS, [])
-    bus = BusConnection(link, [], 0.01)
+    bus = BusConnection(link, 0.01)
 
     def drain(most: int) -> list[object]:
         asked.append(most)

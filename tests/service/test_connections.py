@@ -176,7 +176,7 @@ def test_a_stop_that_was_read_is_carried_out_though_its_connection_has_to_make_r
         await operator.done(op="release")
         stopping = await connect(path)
         await stopping.done(op="status")
-        turn = world.service.background.slot
+        turn = world.loop.parts.background.slot
 
         @contextlib.asynccontextmanager
         async def never(rank: Priority) -> AsyncIterator[None]:
@@ -186,7 +186,7 @@ def test_a_stop_that_was_read_is_carried_out_though_its_connection_has_to_make_r
                 yield
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(world.service.background, "slot", never)
+            patch.setattr(world.loop.parts.background, "slot", never)
             stopping.writer.write(b'{"op": "stop"}\n')
             await world.seconds(0.05)
             assert world.state() is not State.STOPPING
@@ -239,7 +239,7 @@ def test_whatever_clients_do_the_budget_holds_and_nothing_is_left(tmp_path: Path
         assert not len(control._connections)
         assert not control._serving
         assert descriptors() <= before
-        assert world.service.failure is None
+        assert world.service.shutdown.failure is None
         assert world.service.statistics.missed == 0
 
     serve(path, script)

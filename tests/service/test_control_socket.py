@@ -179,7 +179,7 @@ def test_of_many_that_connect_at_once_some_are_let_in_between_two_looks_at_the_c
 
 def test_clients_are_let_in_when_it_is_their_turn(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
-        async with world.service.background.slot(Priority.REQUEST):  # somebody else has it
+        async with world.loop.parts.background.slot(Priority.REQUEST):  # somebody else has it
             newcomer = await connect(path)
             asking = asyncio.create_task(newcomer.ask(op="status"))
             await world.seconds(0.005)
@@ -213,7 +213,7 @@ def test_who_cannot_be_let_in_is_told_to_the_log_and_let_in_later(path: Path, mo
 def test_the_end_waits_for_nobody_who_waits_to_be_let_in(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
         stack = contextlib.AsyncExitStack()
-        await stack.enter_async_context(world.service.background.slot(Priority.REQUEST))
+        await stack.enter_async_context(world.loop.parts.background.slot(Priority.REQUEST))
         newcomers = [await connect(path) for _ in range(3)]
         await world.seconds(0.005)
         await control.stop()
@@ -245,7 +245,7 @@ def test_idle_clients_make_room_for_whoever_wants_to_stop(path: Path) -> None:
             assert await client.reader.read() == b""
         await world.seconds(0.1)
         assert len(control._connections) == 64
-        assert world.service.desk.authority.holder is not None  # the operator has not gone
+        assert world.requests.authority.holder is not None  # the operator has not gone
         assert (await idle[0].ask(op="status"))["ok"]
         assert any(client.every for client in control._connections)  # nor has the watcher, who reads
 
@@ -261,7 +261,7 @@ def test_a_client_that_was_told_to_go_moves_nothing_but_may_stop(path: Path, op:
         if op == "stop":
             assert (await client.ask(op="move", position=100.0))["ok"]
         assert (await client.ask(op="release"))["ok"]  # whoever commands need not make room
-        turn = world.service.background.slot
+        turn = world.loop.parts.background.slot
 
         @contextlib.asynccontextmanager
         async def late_turn(rank: Priority) -> AsyncIterator[None]:
@@ -271,11 +271,11 @@ def test_a_client_that_was_told_to_go_moves_nothing_but_may_stop(path: Path, op:
                 yield
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(world.service.background, "slot", late_turn)
+            patch.setattr(world.loop.parts.background, "slot", late_turn)
             client.writer.write(encode({"op": op} | ({"position": 50.0} if op == "move" else {})))
             await world.seconds(0.03)
         assert world.state() is state
-        assert world.service.desk.authority.holder is None
+        assert world.requests.authority.holder is None
 
     serve(path, script)
 
@@ -320,7 +320,7 @@ def test_only_owner_and_group_may_open_the_socket(path: Path) -> None:
 def test_a_second_service_is_refused_and_a_dead_socket_is_taken_over(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         with pytest.raises(SocketInUseError, match="another service answers"):
-            await ControlSocket(path, world.service).start()
+            await world.loop.control_socket(path).start()
 
     serve(path, script)
     path.parent.mkdir(exist_ok=True)
@@ -335,7 +335,7 @@ def test_a_file_that_is_no_socket_is_not_removed(path: Path) -> None:
 
     async def script(world: World) -> None:
         with pytest.raises(OSError, match="is not a socket"):
-            await ControlSocket(path, world.service).start()
+            await world.loop.control_socket(path).start()
 
     simulate(script)
     assert path.read_text() == "precious"

@@ -15,7 +15,6 @@ from twostage_servo.api.request_reading import read_request
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.service.status_line import status_line
 
 TIME_OUT_S = 0.5
 """axis.arming_timeout_ms of the demo."""
@@ -37,15 +36,15 @@ def change(world: World, **faults: Any) -> None:
 
 
 def ask(world: World, **request: Any) -> dict[str, Any]:
-    return world.service.handle(read_request(request), "operator")
+    return world.requests.handle(read_request(request), "operator")
 
 
 def lasting(world: World) -> list[str]:
-    return [one["code"] for one in world.service.snapshot()["drive"]["lasting"]]
+    return [one["code"] for one in world.loop.snapshot()["drive"]["lasting"]]
 
 
 def codes(world: World) -> list[str]:
-    trip = world.service.snapshot()["trip"]
+    trip = world.loop.snapshot()["trip"]
     return [] if trip is None else trip["codes"]
 
 
@@ -78,7 +77,7 @@ def test_a_drive_that_stays_enabled_after_disarm_trips_and_is_told_everywhere_fo
         assert told["moved"] == pytest.approx(moved, abs=5.0)
         assert f"moved by {told['moved']:+.4g} mm" in one["cause"]
         assert "arming_timeout_ms is 500" in one["cause"]
-        line = status_line(world.service, 0)
+        line = world.line()
         assert "x tripped (drive_not_disabled)" not in line  # the distance stands between
         assert "(drive_not_disabled): the drive reports that it is enabled" in line
         assert "while disabled" in line
@@ -101,7 +100,7 @@ def test_a_drive_that_stays_enabled_after_disarm_trips_and_is_told_everywhere_fo
         ask(world, op="reset")
         assert world.state() is State.DISARMED
         await world.armed()
-        assert world.service.snapshot()["drive"]["moved"] is None
+        assert world.loop.snapshot()["drive"]["moved"] is None
 
     simulate(script)
 
@@ -130,7 +129,7 @@ def test_a_trip_that_was_there_already_does_not_hide_it(trip: Callable[[World], 
         assert world.axis.trip is first
         assert world.axis.escalation is world.axis.trips[TripCode.DRIVE_NOT_DISABLED]
         assert lasting(world) == ["drive_not_disabled"]
-        line = status_line(world.service, 0)
+        line = world.line()
         assert f"({first.code})" in line
         assert "Besides (drive_not_disabled): the drive reports" in line
         with pytest.raises(Refused, match="told to disable"):
@@ -266,7 +265,7 @@ def test_a_service_that_ends_waits_for_the_drive_and_says_so_if_it_was_not_seen_
             world.service.shut_down()
             await world.serving
         assert TIME_OUT_S < now_s() - begun_s < 2.0
-        assert world.service.not_disabled == ["x"]
+        assert world.service.shutdown.not_disabled == ["x"]
         assert codes(world) == ["drive_not_disabled"]
         (told,) = [log for log in logs if "has not been seen to be disabled" in log["event"]]
         assert (told["log_level"], told["axis"], told["code"]) == ("error", "x", "drive_not_disabled")
@@ -287,7 +286,7 @@ def test_a_service_that_ends_does_not_wait_for_a_drive_that_obeys(*, armed: bool
         world.service.shut_down()
         await world.serving
         assert now_s() - begun_s < 0.06
-        assert world.service.not_disabled == []
+        assert world.service.shutdown.not_disabled == []
 
     simulate(script)
 
@@ -301,7 +300,7 @@ def test_a_service_that_ends_does_not_wait_for_a_drive_that_is_silent() -> None:
         world.service.shut_down()
         await world.serving
         assert now_s() - begun_s < 0.1
-        assert world.service.not_disabled == ["x"]  # the last that it said was that it is enabled
+        assert world.service.shutdown.not_disabled == ["x"]  # the last that it said was that it is enabled
 
     simulate(script)
 
@@ -350,23 +349,23 @@ def test_an_axis_that_moves_while_its_drive_is_off_is_told_and_does_not_trip(ove
         await world.armed()
         ask(world, op="disarm")
         await world.seconds(1.0)
-        assert world.service.snapshot()["drive"]["moved"] is None
+        assert world.loop.snapshot()["drive"]["moved"] is None
         place = world.drive.position
         with structlog.testing.capture_logs() as logs:
             change(world, effort_while_disabled=0.1)  # 1.3 mm/s: a hand, a weight, or a power stage that leaks
             await world.seconds(10.0)
         moved = world.drive.position - place
-        told = world.service.snapshot()["drive"]
+        told = world.loop.snapshot()["drive"]
         assert told["moved"] == pytest.approx(moved, abs=0.6)
         assert told["lasting"] == []
-        assert f"moved by {told['moved']:+.3g} mm while disabled" in status_line(world.service, 0)
+        assert f"moved by {told['moved']:+.3g} mm while disabled" in world.line()
         (log,) = [log for log in logs if "moves while its drive is told" in log["event"]]
         assert (log["log_level"], log["unit"]) == ("warning", "mm")
         assert 0.5 < log["moved"] < 0.6
         assert world.axis.trip is None
         change(world, effort_while_disabled=0.0)
         await world.armed()
-        assert "disabled" not in status_line(world.service, 0)
+        assert "disabled" not in world.line()
 
     simulate(script, *overrides)
 
@@ -393,7 +392,7 @@ def test_coasting_from_a_drive_that_is_disabled_at_speed_is_no_motion_to_be_told
         sto_is_told(world)
         await world.seconds(5.0)
         assert world.drive.position - place > 0.9 * velocity / 14.0
-        assert world.service.snapshot()["drive"]["moved"] is None
+        assert world.loop.snapshot()["drive"]["moved"] is None
         assert codes(world) == ["safe_torque_off"]
 
     simulate(script, *MANNERS[manner])

@@ -2,7 +2,7 @@
 
 import pytest
 
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.build import build_parts
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import load
 
@@ -20,14 +20,14 @@ def test_an_armed_axis_never_goes_half_a_round_unseen(stale_ms: int, missed_tick
         None, [RANGE, f"axis.limits.stale_feedback_ms={stale_ms}", f"axis.limits.missed_ticks={missed_ticks}"]
     )
     if taken:
-        build_service(loaded)
+        build_parts(loaded)
         return
     with pytest.raises(ConfigError, match=r"allow less than 102\.4 ms for both") as refused:
-        build_service(loaded)
+        build_parts(loaded)
     assert [problem.key for problem in refused.value.problems] == ["axis.limits.stale_feedback_ms"]
 
 
 def test_where_the_axis_is_short_the_nearest_round_is_the_right_one() -> None:
     short = ["axis.limits.position_minimum=-5", "axis.limits.position_maximum=5", "axis.limits.position_overrun=2"]
     short.append("axis.limits.undetected_travel=8")
-    build_service(load(None, [RANGE, *short, "axis.limits.stale_feedback_ms=500"]))
+    build_parts(load(None, [RANGE, *short, "axis.limits.stale_feedback_ms=500"]))

@@ -1,4 +1,4 @@
-"""What the log is told of an axis after each tick, line by line; of a axis_loop that is written by hand."""
+"""What the log is told of an axis after each tick, line by line; of an axis loop that is written by hand."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -10,50 +10,27 @@ from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.service.event_log import EventLog
-from twostage_servo.telemetry.recorder import Record
-from twostage_servo.telemetry.trip_files import TripFile
 from twostage_servo.timing.ticks import Tick
 
 ENCODER = "positions are those that the encoder counts: a place that was set before the service started is not known"
-
-
-class Files:
-    """Trip files that remember what they were asked for."""
-
-    def __init__(self) -> None:
-        self.written: list[tuple[Any, ...]] = []
-        self.failed: list[tuple[BaseException, TripFile]] = []
-
-    def write(self, *arguments: Any) -> TripFile:
-        self.written.append(arguments)
-        return TripFile()
-
-    def fail(self, error: BaseException, file: TripFile) -> None:
-        self.failed.append((error, file))
 
 
 class Told:
     """A reporter with the axis that it looks at."""
 
     def __init__(self) -> None:
-        self.kept = 0
         self.axis: Any = SimpleNamespace(
             state=State.DISARMED, trip=None, trips={}, escalation=None, lasting=(),
             disabled=SimpleNamespace(moved=None),
             reference=SimpleNamespace(source=ReferenceSource.ENCODER, lost_because=""),
             drive=SimpleNamespace(is_stale=True), design=SimpleNamespace(period_s=0.01),
         )  # fmt: skip
-        recorder = SimpleNamespace(keep=self.keep, records=lambda: ["records"])
-        axis_loop: Any = SimpleNamespace(name="x", axis=self.axis, recorder=recorder, report=lambda: {"a": "snapshot"})
-        self.axis_loop = axis_loop
+        axis_loop: Any = SimpleNamespace(name="x", axis=self.axis)
         self.event_log = EventLog(axis_loop)
-
-    def keep(self) -> None:
-        self.kept += 1
 
     def tick(self, index: int) -> list[dict[str, Any]]:
         with structlog.testing.capture_logs() as logs:
-            self.event_log.report(Tick(index, 0.0, 0.0, 0))
+            self.event_log.publish(Tick(index, 0.0, 0.0, 0))
         return [dict(line) for line in logs]
 
     def trips(self, *codes: TripCode) -> list[Trip]:
@@ -107,14 +84,13 @@ def test_on_what_positions_rest_is_told_whenever_it_changes() -> None:
         assert told.tick(index) == [line(text, "warning", index, reason=reason)]
 
 
-def test_a_first_trip_is_told_whole_and_its_recording_kept_once() -> None:
+def test_a_first_trip_is_told_whole_and_once() -> None:
     told = Told()
     told.tick(0)
     (trip,) = told.trips(TripCode.JAM)
     first = line("trip", "error", 1, code=TripCode.JAM, cause="cause of jam", next_action=trip.next_action)
     assert told.tick(1) == [first]
     assert told.tick(2) == []
-    assert told.kept == 1
 
 
 def test_later_trips_are_told_with_their_own_tick_and_anew_after_a_reset() -> None:
@@ -133,7 +109,6 @@ def test_later_trips_are_told_with_their_own_tick_and_anew_after_a_reset() -> No
         assert told.tick(22) == []
         told.trips()
         assert told.tick(23) == []
-    assert told.kept == 2
 
 
 def test_a_trip_with_others_in_its_tick_is_told_with_all_of_them() -> None:
@@ -143,49 +118,8 @@ def test_a_trip_with_others_in_its_tick_is_told_with_all_of_them() -> None:
     assert [one["event"] for one in told.tick(1)] == ["trip", "trip, as well"]
 
 
-# The recording -------------------------------------------------------------------------------------------------------
-
-
-def test_a_recording_is_written_with_what_the_axis_was_and_the_names_of_its_columns() -> None:
-    told, files = Told(), Files()
-    told.event_log.trip_files = files  # type: ignore[assignment]
-    before = told.event_log.trip_file
-    told.trips(TripCode.JAM)
-    told.tick(1)
-    assert files.written == [("x-jam", {"snapshot": {"a": "snapshot"}, "fields": Record._fields}, ["records"])]
-    assert told.event_log.trip_file is not before
-    assert files.failed == []
-
-
-def test_for_want_of_memory_the_file_of_this_trip_has_failed() -> None:
-    told, files = Told(), Files()
-    told.event_log.trip_files = files  # type: ignore[assignment]
-    error = MemoryError()
-
-    def keep() -> None:
-        raise error
-
-    told.axis_loop.recorder.keep = keep
-    told.trips(TripCode.JAM)
-    assert next(one["event"] for one in told.tick(1)) == "trip"
-    assert files.failed == [(error, told.event_log.trip_file)]
-    assert files.written == []
-
-
-def test_for_want_of_memory_without_files_the_log_says_so() -> None:
-    told = Told()
-
-    def keep() -> None:
-        raise MemoryError
-
-    told.axis_loop.recorder.keep = keep
-    told.trips(TripCode.JAM)
-    text = "no recording of the trip: no memory is left"
-    assert {"event": text, "log_level": "error", "axis": "x"} in told.tick(1)
-
-
 @pytest.mark.parametrize("stale", [True, False])
-def test_a_reporter_begins_with_the_state_of_its_axis_and_without_feedback(*, stale: bool) -> None:
+def test_the_log_begins_with_the_state_of_its_axis_and_without_feedback(*, stale: bool) -> None:
     told = Told()
     told.axis.drive.is_stale = stale
     events = [one["event"] for one in told.tick(0)]

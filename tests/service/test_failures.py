@@ -129,9 +129,9 @@ def test_a_publisher_that_fails_for_good_does_not_spoil_the_stop(where: str) -> 
             raise DefectError("for good")
 
         if where == "publisher":
-            world.service.publishers.append(broken)
+            world.loop.listen(broken)
         else:
-            world.service.after_tick = broken
+            world.parts.background.open = broken  # type: ignore[method-assign,assignment]
         with pytest.raises(DefectError):
             await world.serving
         assert QUICK_STOP_DISTANCE < world.drive.position - position < QUICK_STOP_DISTANCE + 4.0
@@ -147,7 +147,7 @@ def test_a_defect_while_disarmed_ends_the_service_as_well() -> None:
         def broken(_: object) -> None:
             raise DefectError
 
-        world.service.publishers.append(broken)
+        world.loop.listen(broken)
         tick = world.ticks._index
         with pytest.raises(DefectError):
             await world.serving
@@ -162,9 +162,9 @@ def test_a_braking_service_takes_no_more_orders_after_a_defect(monkeypatch: pyte
         await world.cruising()
         breaking(monkeypatch, *PLACES["update"](world), times=1)
         await world.seconds(0.02)
-        assert world.service.is_ending
+        assert world.service.shutdown.is_ending
         assert world.state() is State.TRIPPED_QUICK_STOP
-        snapshot = world.service.snapshot()
+        snapshot = world.loop.snapshot()
         assert snapshot["trip"]["code"] == "internal_error"
         assert snapshot["trip"]["reaction"] == "quick_stop"
         assert snapshot["axis"]["cia402"] == "fault reaction active"
@@ -183,7 +183,7 @@ def full(world: World, pattern: Callable[[int], bool]) -> None:
         number = world.ticks._index + 1 - first
         node.send_error = can.CanOperationError("Transmit buffer full") if pattern(number) else None
 
-    world.service.publishers.append(set_for_the_next)
+    world.loop.listen(set_for_the_next)
 
 
 def test_one_command_that_is_dropped_is_bridged_and_counted() -> None:
@@ -192,7 +192,7 @@ def test_one_command_that_is_dropped_is_bridged_and_counted() -> None:
         full(world, lambda number: number in {1, 3, 5, 50, 52})
         await world.until(lambda: world.state() is State.HOLDING)
         assert world.axis.trip is None
-        assert world.service.snapshot()["frames"]["dropped"] == 5
+        assert world.loop.snapshot()["frames"]["dropped"] == 5
         ticks = [tick for tick, _ in world.sent()]
         assert len(ticks) == len(set(ticks))  # the newest only: what was dropped is not sent later
         assert world.drive.position == pytest.approx(400.0, abs=0.06)

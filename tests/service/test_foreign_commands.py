@@ -12,7 +12,6 @@ from twostage_servo.api.request_reading import read_request
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.service.status_line import status_line
 
 NO_ENABLED_BIT = "protocol.feedback.enabled=false"
 NO_HEARTBEAT = (
@@ -21,7 +20,7 @@ NO_HEARTBEAT = (
 
 
 def drive_told(world: World) -> dict[str, Any]:
-    told: dict[str, Any] = world.service.snapshot()["drive"]
+    told: dict[str, Any] = world.loop.snapshot()["drive"]
     return told
 
 
@@ -30,7 +29,7 @@ def lasting(world: World) -> list[str]:
 
 
 def ask(world: World, **request: Any) -> dict[str, Any]:
-    return world.service.handle(read_request(request), "operator")
+    return world.requests.handle(read_request(request), "operator")
 
 
 class Other:
@@ -39,7 +38,7 @@ class Other:
     def __init__(self, world: World) -> None:
         self._world = world
         self._bus = world.wire.attach("another controller")
-        world.service.publishers.append(lambda _: self._bus.shutdown() if world.service.is_ending else None)
+        world.loop.listen(lambda _: self._bus.shutdown() if world.service.shutdown.is_ending else None)
         self._counter = 0
 
     def send(self, effort: float, *, enable: bool) -> None:
@@ -62,17 +61,17 @@ class Other:
 def test_a_disarmed_axis_that_another_node_drives_trips_within_three_ticks_and_says_by_what() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        other, begun_s = Other(world), world.service.uptime_s
+        other, begun_s = Other(world), world.service.statistics.uptime_s
         driving = asyncio.create_task(other.command(15.0, enable=True, for_s=2.0))
         await world.until(lambda: world.axis.trip is not None, 1.0)
-        assert world.service.uptime_s - begun_s < 0.05
+        assert world.service.statistics.uptime_s - begun_s < 0.05
         trip = world.axis.trip
         assert trip is not None
         assert (world.state(), trip.code) == (State.TRIPPED, TripCode.FOREIGN_COMMAND)
         assert "another node on the bus commands this drive: 0x201 [" in trip.cause
         assert "asks for an effort of 15 V" in trip.cause
         assert lasting(world) == ["foreign_command"]
-        assert "x tripped (foreign_command)" in status_line(world.service, 0)
+        assert "x tripped (foreign_command)" in world.line()
         with pytest.raises(Refused, match="0x201") as refused:
             ask(world, op="reset")
         assert refused.value.code == "foreign_command"
@@ -101,7 +100,7 @@ def test_a_disarmed_axis_whose_drive_another_node_keeps_disabled_is_told_at_once
         assert one["code"] == "foreign_command"
         assert "disables the drive" in one["cause"]
         assert "End the other service" in one["next_action"]
-        line = status_line(world.service, 0)
+        line = world.line()
         assert "x disarmed (foreign_command): another node on the bus commands this drive: 0x201" in line
         told = [log for log in logs if log.get("code") == "foreign_command"]
         assert [log["log_level"] for log in told] == ["error", "error"]  # at once, and again after 10 s

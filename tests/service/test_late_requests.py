@@ -67,7 +67,7 @@ def test_what_was_asked_while_the_service_stood_still_is_not_carried_out_when_no
         await world.seconds(1.0)
         assert world.state() is State.DISARMED
         assert not world.drive.enabled
-        assert world.service.desk.authority.holder is None
+        assert world.requests.authority.holder is None
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
@@ -115,7 +115,7 @@ def test_what_brings_the_axis_to_rest_is_carried_out_however_old_and_whoever_has
         await world.until(lambda: world.state() is State.HOLDING)
         await operator.done(op="move", position=400.0)
         await world.seconds(1.0)
-        async with world.service.background.slot(Priority.REQUEST):  # the service is busy, and the axis goes on
+        async with world.loop.parts.background.slot(Priority.REQUEST):  # the service is busy, and the axis goes on
             caller = call(callers, path, {"op": op})
             if how == "half-closed":
                 caller.shutdown(socket.SHUT_WR)
@@ -140,7 +140,7 @@ def test_a_command_that_waited_behind_others_for_long_has_expired(
         await operator.done(op="arm")
         await world.until(lambda: world.state() is State.HOLDING)
         await operator.done(op="release")
-        async with world.service.background.slot(Priority.REQUEST):
+        async with world.loop.parts.background.slot(Priority.REQUEST):
             caller = call(callers, path, {"op": "move", "position": 50.0})
             await world.seconds(0.02 if gone else 1.5)
             if gone:
@@ -156,7 +156,7 @@ def test_a_command_that_waited_behind_others_for_long_has_expired(
 
 def test_a_command_that_waited_for_less_is_carried_out(path: Path, callers: contextlib.ExitStack) -> None:
     async def script(world: World, _: ControlSocket) -> None:
-        async with world.service.background.slot(Priority.REQUEST):
+        async with world.loop.parts.background.slot(Priority.REQUEST):
             caller = call(callers, path, {"op": "arm"})
             await world.seconds(0.9)
         await world.seconds(0.5)
@@ -174,7 +174,7 @@ async def prepared_slowly() -> Callable[[], None]:
 
 def test_a_command_after_a_reload_is_not_as_old_as_the_reload(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
-        world.service.desk.prepare = prepared_slowly
+        world.prepare = prepared_slowly
         operator = await connect(path)
         await operator.done(op="reload")
         await operator.done(op="arm")
@@ -184,7 +184,7 @@ def test_a_command_after_a_reload_is_not_as_old_as_the_reload(path: Path) -> Non
 
 def test_a_command_behind_a_reload_has_waited_for_it(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
-        world.service.desk.prepare = prepared_slowly
+        world.prepare = prepared_slowly
         operator = await connect(path)
         operator.writer.write(b'{"op": "reload"}\n{"op": "arm"}\n')
         assert (await operator.answer())["ok"]

@@ -167,12 +167,13 @@ def test_a_log_within_a_log_gives_the_outer_one_back() -> None:
 
 def test_what_the_ticks_were_like_is_told_by_phase_and_as_a_histogram() -> None:
     statistics = TickStatistics()
-    statistics.begin(3e-6, 0)
+    statistics.begin(0.01, 3e-6, 0)
     statistics.end(0.0, 10e-6, 30e-6, 35e-6, 45e-6, 50e-6)
-    statistics.begin(300e-6, 2)
+    statistics.begin(0.04, 300e-6, 2)
     statistics.end(0.0, 10e-6, 30e-6, 35e-6, 45e-6, 50e-6)
     told = json.loads(json.dumps(statistics.summary()))
     assert (told["count"], told["missed"]) == (2, 2)
+    assert statistics.uptime_s == 0.04
     assert told["lateness_us"]["max"] == 300.0
     assert told["lateness_histogram"] == [{"up_to_us": 3.16, "ticks": 1}, {"up_to_us": 316.0, "ticks": 1}]
     assert {name: row["max"] for name, row in told["duration_us"].items()} == {

@@ -103,11 +103,11 @@ def test_a_recording_for_which_there_is_no_memory_is_told(
     async def script(world: World) -> None:
         await world.armed()
         if to_a_file:
-            world.axis_loop.event_log.trip_files = TripFiles(tmp_path)
+            world.loop.trip_files.files = TripFiles(tmp_path)
         monkeypatch.setattr(type(world.axis_loop.recorder), "keep", none_left)
         world.axis.raise_trip(TripCode.JAM, "test")
         await world.seconds(0.1)
-        error = world.service.snapshot()["trip"]["file_error"]
+        error = world.loop.snapshot()["trip"]["file_error"]
         assert error == (why if to_a_file else None)
 
     why = f"no trip file can be written in {tmp_path}: no memory is left"
@@ -115,7 +115,7 @@ def test_a_recording_for_which_there_is_no_memory_is_told(
         simulate(script)
     told = of(logs, "no recording of the trip: no memory is left", "no trip file")
     assert told == (
-        [{"event": "no trip file", "log_level": "error", "room": "trip_files", "error": why}]
+        [{"event": "no trip file", "log_level": "error", "room": "trip_files", "trip": "x-jam", "error": why}]
         if to_a_file
         else [{"event": "no recording of the trip: no memory is left", "log_level": "error", "axis": "x"}]
     )
@@ -132,13 +132,13 @@ def test_what_a_bus_loses_is_told_once_a_second_with_what_is_new_and_the_total(m
     link = Link(BUS, [])
     monkeypatch.setattr(link, "check", lambda: None)
     with structlog.testing.capture_logs() as logs:
-        bus = BusConnection(link, [], 0.01)
+        bus = BusConnection(link, 0.01)
         bus.error = None
-        bus.publish(tick(0))
+        bus.look_after(tick(0))
         for second, total in ((1, 3), (2, 3), (3, 10)):
             link.counters.rejected = link.counters.overflowed = link.counters.overruns = total
-            bus.publish(tick(100 * second - 1))
-            bus.publish(tick(100 * second))
+            bus.look_after(tick(100 * second - 1))
+            bus.look_after(tick(100 * second))
     common = {"log_level": "warning", "bus": "can0"}
     counted = [{"tick": 100, "new": 3, "total": 3}, {"tick": 300, "new": 7, "total": 10}]
     full = "the bus brings more frames than a tick reads: what comes behind them does not count as fresh"
@@ -155,14 +155,14 @@ def test_a_controller_that_changes_its_state_is_told_at_once(monkeypatch: pytest
     link = Link(BUS, [])
     monkeypatch.setattr(link, "check", lambda: None)
     with structlog.testing.capture_logs() as logs:
-        bus = BusConnection(link, [], 0.01)
+        bus = BusConnection(link, 0.01)
         bus.error = None
-        bus.publish(tick(0))
+        bus.look_after(tick(0))
         link.controller_state, link.error_counters = "passive", (128, 7)
-        bus.publish(tick(1))
-        bus.publish(tick(2))
+        bus.look_after(tick(1))
+        bus.look_after(tick(2))
         link.controller_state, link.error_counters = "active", None
-        bus.publish(tick(3))
+        bus.look_after(tick(3))
     common = {"event": "bus controller", "log_level": "warning", "bus": "can0"}
     assert logs == [
         {**common, "tick": 1, "state": "passive", "error_counters": (128, 7)},

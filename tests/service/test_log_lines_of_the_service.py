@@ -22,7 +22,7 @@ from twostage_servo.timing.virtual_clock import run
 def test_a_service_that_ends_says_once_in_which_states() -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        assert not world.service.is_ending
+        assert not world.service.shutdown.is_ending
         world.service.shut_down()
         world.service.shut_down()
         await world.serving
@@ -57,7 +57,7 @@ def test_a_defect_in_a_request_ends_the_service_and_is_told_to_log_and_client() 
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(type(world.axis_loop.recorder), "records", lambda _: broken())
             with pytest.raises(Refused, match="RuntimeError: a defect; the service is stopping") as refused:
-                world.service.handle(RecordingRequest())
+                world.requests.handle(RecordingRequest())
         assert refused.value.code == "internal_error"
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.INTERNAL_ERROR
@@ -81,7 +81,7 @@ def test_that_the_holder_has_gone_is_told_where_it_changes_something(tmp_path: P
         await operator.done(op="arm")
         await world.until(lambda: world.state() is State.HOLDING)
         await operator.done(op="move", position=400.0)
-        peers.append(world.service.desk.authority.holder)
+        peers.append(world.requests.authority.holder)
         operator.die()
         await world.seconds(0.1)
 
@@ -113,11 +113,11 @@ def test_an_axis_that_reacts_to_another_is_told_with_both(tmp_path: Path) -> Non
 def test_a_move_by_a_way_begins_where_the_last_one_ended() -> None:
     async def script(world: World) -> None:
         await world.armed()
-        world.service.handle(MoveRequest(by=2.5))
+        world.requests.handle(MoveRequest(by=2.5))
         await world.until(lambda: world.axis.move is not None and world.axis.move.outcome == "reached")
         assert world.axis.move is not None
         assert (world.axis.move.target, world.axis.move.velocity) == (2.5, world.axis.settings.cruise_velocity)
-        world.service.handle(MoveRequest(by=2.5, velocity=20.0))
+        world.requests.handle(MoveRequest(by=2.5, velocity=20.0))
         assert (world.axis.move.target, world.axis.move.velocity) == (5.0, 20.0)
 
     simulate(script)
@@ -143,7 +143,7 @@ def test_a_trip_file_that_could_not_be_written_is_told_with_folder_and_reason(
         run(write())
     assert logs == [
         {
-            "event": "no trip file", "log_level": "error", "room": "trip_files",
+            "event": "no trip file", "log_level": "error", "room": "trip_files", "trip": "x",
             "error": f"no trip file can be written in {tmp_path}: {why}",
         }
     ]  # fmt: skip
@@ -159,4 +159,4 @@ def test_a_trip_file_is_told_with_its_path(tmp_path: Path) -> None:
     with structlog.testing.capture_logs() as logs:
         run(write())
     (file,) = tmp_path.iterdir()
-    assert logs == [{"event": "trip file", "log_level": "info", "room": "trip_files", "path": str(file)}]
+    assert logs == [{"event": "trip file", "log_level": "info", "room": "trip_files", "trip": "x", "path": str(file)}]

@@ -1,6 +1,5 @@
 """The service manager's notifications over a real datagram socket."""
 
-import asyncio
 import os
 import socket
 from collections.abc import Iterator
@@ -9,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tests.service.rig import World, simulate
+from twostage_servo.app.serve import announces_end
 from twostage_servo.axis.state import State
-from twostage_servo.cli.serve import _feeder
 from twostage_servo.service.notify import Notifier
 from twostage_servo.service.settings import longest_end_s
 
@@ -43,7 +42,9 @@ def notifier(tmp_path: Path, **environment: str) -> Notifier:
 
 
 def feed(world: World, notifier: Notifier) -> None:
-    world.service.publishers.append(_feeder(world.service, notifier, asyncio.get_running_loop()))
+    """Let the service give its signs of life from now on, and tell of its end."""
+    world.sign_of_life = notifier.tick_completed
+    world.loop.listen(announces_end(world.parts, notifier))
 
 
 def test_what_a_service_says_from_start_to_end(manager: Manager, tmp_path: Path) -> None:
@@ -180,7 +181,7 @@ def test_a_publisher_that_fails_does_not_let_the_watchdog_be_fed(manager: Manage
             raise RuntimeError("broken for good")
 
         await world.cruising()
-        world.service.publishers.append(broken)
+        world.loop.listen(broken)
         feed(world, told)
         with pytest.raises(RuntimeError):
             await world.serving
@@ -206,7 +207,7 @@ def test_the_manager_is_asked_to_wait_for_the_braking_before_that_begins(
         stopping, extended = manager.heard()
         assert stopping == "STOPPING=1"
         asked_s = int(extended.removeprefix("EXTEND_TIMEOUT_USEC=")) / 1e6
-        assert asked_s == longest_end_s(world.service.settings, [500.0]) > shutdown_timeout_ms / 1e3
+        assert asked_s == longest_end_s(world.service.shutdown.settings, [500.0]) > shutdown_timeout_ms / 1e3
         await world.until(world.serving.done)
         assert manager.heard() == []
         told.close()
@@ -221,7 +222,7 @@ def test_a_defect_that_ends_the_service_is_told_to_the_manager_as_well(
         told = notifier(tmp_path)
         await world.cruising()
         feed(world, told)
-        world.service.fail(RuntimeError("a defect"))
+        world.service.shutdown.fail(RuntimeError("a defect"))
         await world.seconds(0.02)
         assert manager.heard()[0] == "STOPPING=1"
         with pytest.raises(RuntimeError, match="a defect"):

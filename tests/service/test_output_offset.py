@@ -5,10 +5,12 @@ import pytest
 
 from tests.host_loop import HostLoop
 from tests.service.rig import BUS
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.build import build_parts, build_service
 from twostage_servo.config.loader import load
+from twostage_servo.service.runtime import Runtime
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.timing.output_offset import FixedOffset
+from twostage_servo.timing.ticks import Ticks
 
 WORK_S = [20e-6, 90e-6, 40e-6, 250e-6, 10e-6, 60e-6]
 """What the arithmetic of a tick takes, tick by tick."""
@@ -21,24 +23,26 @@ def sent_after_s(offset: FixedOffset | None) -> list[float]:
         loop = asyncio.get_running_loop()
         assert isinstance(loop, HostLoop)
         wire = Wire(loop.time)
-        service = build_service(load(None), BUS, lambda _: wire.attach("service"))
-        axis_loop = service.axis_loop()
-        work, decide = itertools.cycle(WORK_S), axis_loop.update
         sent_s: dict[int, float] = {}
         due_s: dict[int, float] = {}
-
-        def update() -> None:
-            decide()
-            loop.work(next(work))
 
         def note_frame(tick_index: int, direction: str, _identifier: int, _data: bytes) -> None:
             assert direction == "sent"
             sent_s.setdefault(tick_index, loop.time())
 
+        parts = build_parts(load(None), BUS, lambda _: wire.attach("service"), (note_frame,))
+        axis_loop = parts.axis_loop()
+        runtime = Runtime(Ticks(parts.period_s), offset)
+        service = build_service(
+            parts, runtime, lambda _: {}, publishers=(lambda tick: due_s.update({tick.index: tick.deadline_s}),)
+        )
+        work, decide = itertools.cycle(WORK_S), axis_loop.update
+
+        def update() -> None:
+            decide()
+            loop.work(next(work))
+
         axis_loop.update = update  # type: ignore[method-assign]
-        axis_loop.bus.observers.append(note_frame)
-        service.publishers.append(lambda tick: due_s.update({tick.index: tick.deadline_s}))
-        service.output_offset = offset
         loop.call_later((len(WORK_S) + 2) * service.ticks.period_s, service.shut_down)
         await service.run()
         assert (service.statistics.duration["hold"].largest_us > 0.0) is (offset is not None)

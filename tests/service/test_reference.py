@@ -63,7 +63,7 @@ def test_a_drive_that_was_off_is_never_taken_for_the_one_before(doing: str, off_
         await at_its_place(world, doing)
         world.drive.reboot(asyncio.get_running_loop().time(), off_s, counts=told_by == "a boot counter")
         await world.seconds(off_s + 1.5)
-        shown = world.service.snapshot()["axis"]
+        shown = world.loop.snapshot()["axis"]
         assert (shown["referenced"], shown["reference"]) == (False, None)
         assert shown["reference_lost"]
         await never_moves_wrongly(world, world.drive.position)
@@ -114,7 +114,7 @@ def test_of_several_axes_on_a_bus_the_one_whose_drive_was_off_loses_its_place(tm
         await plant.until(lambda: all(axis_loop.axis.ready_to_arm for axis_loop in plant.service.axis_loops))
         plant.drives["y"].reboot(asyncio.get_running_loop().time(), 0.2, counts=counts)
         await plant.until(lambda: not plant.axis("y").referenced)
-        shown = plant.service.snapshot()["axes"]
+        shown = plant.loop.snapshot()["axes"]
         assert [shown[name]["axis"]["reference"] for name in ("x", "y")] == ["homed", None]
 
     operate(machine_file(tmp_path, {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}), script)
@@ -145,10 +145,10 @@ def test_a_service_that_starts_again_says_that_a_place_is_no_longer_known() -> N
 
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        shown = world.service.snapshot()["axis"]
+        shown = world.loop.snapshot()["axis"]
         assert (shown["referenced"], shown["reference"], shown["reference_lost"]) == (True, "encoder", None)
         world.axis.set_position(500.0)
-        shown = world.service.snapshot()["axis"]
+        shown = world.loop.snapshot()["axis"]
         assert (shown["referenced"], shown["reference"], shown["reference_lost"]) == (True, "homed", None)
         world.axis.set_position(0.0)
         assert world.axis.reference.source is ReferenceSource.HOMED
@@ -158,7 +158,7 @@ def test_a_service_that_starts_again_says_that_a_place_is_no_longer_known() -> N
 
 def test_status_says_on_what_positions_rest() -> None:
     def told(world: World) -> str:
-        (line,) = [line for line in describe(world.service.snapshot()).splitlines() if line.startswith("positions ")]
+        (line,) = [line for line in describe(world.loop.snapshot()).splitlines() if line.startswith("positions ")]
         return line.removeprefix("positions").strip()
 
     async def script(world: World) -> None:
@@ -185,7 +185,7 @@ def test_a_place_outside_the_limits_is_refused_with_the_numbers(place: float, *,
             await world.armed()
         request = read_request({"op": "home", "position": place})
         with pytest.raises(Refused, match="-2500 to 2500 mm and an overrun of 20 mm") as refused:
-            world.service.handle(request)
+            world.requests.handle(request)
         assert refused.value.code == "position_limit"
         await world.seconds(0.5)
         assert (world.axis.trip, world.axis.reference.source) == (None, ReferenceSource.ENCODER)

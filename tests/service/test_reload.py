@@ -1,6 +1,6 @@
 """Reading the configuration again: while disarmed only, whole or not at all."""
 
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +8,8 @@ import pytest
 
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
-from twostage_servo.app.assembly import reload_machine
+from twostage_servo.app.assembly import prepare_axes
+from twostage_servo.app.build import put_axes_in, traits_of
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.config.errors import ConfigError
@@ -20,6 +21,7 @@ from twostage_servo.drives.dbc.drive import DbcDrive
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.drives.protocol_error import ProtocolError
+from twostage_servo.service.reload import Change
 
 RELOAD = ReloadRequest()
 DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")
@@ -38,27 +40,33 @@ def change(file: Path, old: str, new: str) -> None:
     file.write_text(text.replace(old, new), encoding="utf-8")
 
 
-def reloading(world: World, file: Path) -> Callable[[], None]:
+def reloading(world: World, file: Path) -> Callable[[], Awaitable[Change]]:
     running = Machine.of(load(file))
-    return lambda: reload_machine(world.service, running, Machine.of(load(file)))
+
+    async def prepare() -> Change:
+        parts = world.parts
+        axes = prepare_axes(traits_of(parts.axis_loops), running, Machine.of(load(file)), parts.period_s)
+        return lambda: put_axes_in(parts, axes)
+
+    return prepare
 
 
 def test_what_has_changed_is_in_force_and_the_axis_stays_disarmed(file: Path) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        world.service.desk.reload = reloading(world, file)
+        world.prepare = reloading(world, file)
         change(file, "cruise_velocity = 100.0", "cruise_velocity = 40.0")
         change(file, "position_maximum = 2500.0", "position_maximum = 60.0")
-        answer = world.service.handle(RELOAD)
+        answer = await world.reload()
         assert answer["axis"]["state"] == "disarmed"
         await world.seconds(1.0)
         assert world.state() is State.DISARMED
-        assert world.service.snapshot()["axis"]["position"] == 0.0
-        world.service.handle(ArmRequest())
+        assert world.loop.snapshot()["axis"]["position"] == 0.0
+        world.requests.handle(ArmRequest())
         await world.until(lambda: world.state() is State.HOLDING)
         with pytest.raises(Refused, match="from -2500 to 60 mm"):
-            world.service.handle(MoveRequest(position=61.0))
-        assert world.service.handle(MoveRequest(position=50.0))["move"]["velocity"] == 40.0
+            world.requests.handle(MoveRequest(position=61.0))
+        assert world.requests.handle(MoveRequest(position=50.0))["move"]["velocity"] == 40.0
         await world.until(lambda: world.axis.move is not None and world.axis.move.outcome == "reached")
         assert world.service.statistics.missed == 0
 
@@ -69,11 +77,11 @@ def test_the_place_that_was_given_is_forgotten(file: Path) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         world.axis.set_position(50.0)
-        world.service.desk.reload = reloading(world, file)
+        world.prepare = reloading(world, file)
         change(file, "[simulation] ", "[axis.homing]\nrequired = true\n\n[simulation] ")
-        world.service.handle(RELOAD)
+        await world.reload()
         await world.armed()
-        assert world.service.snapshot()["axis"]["referenced"] is False
+        assert world.loop.snapshot()["axis"]["referenced"] is False
         with pytest.raises(Refused, match="`home` it first"):
             world.axis.move_to(1.0, 10.0)
 
@@ -87,11 +95,11 @@ def test_what_is_known_of_the_place_is_neither_lost_nor_given_back(file: Path, *
         world.axis.set_position(50.0)
         if lost:
             world.axis.reference.lose("a test")
-        world.service.desk.reload = reloading(world, file)
+        world.prepare = reloading(world, file)
         change(file, "cruise_velocity = 100.0", "cruise_velocity = 40.0")
-        world.service.handle(RELOAD)
+        await world.reload()
         await world.seconds(0.05)
-        shown = world.service.snapshot()["axis"]
+        shown = world.loop.snapshot()["axis"]
         assert (shown["position"], shown["referenced"]) == (50.0, not lost)
 
     simulate(script)
@@ -101,8 +109,8 @@ def test_a_drive_that_reboots_is_noticed_across_a_reload(file: Path) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         boots = world.axis.drive.boots
-        world.service.desk.reload = reloading(world, file)
-        world.service.handle(RELOAD)
+        world.prepare = reloading(world, file)
+        await world.reload()
         world.axis.take_heartbeat(77)
         assert world.axis.drive.boots == boots + 1
         assert not world.axis.referenced
@@ -114,7 +122,12 @@ def test_a_drive_that_reboots_is_noticed_across_a_reload(file: Path) -> None:
 def test_an_axis_that_is_not_disarmed_is_left_as_it_is(state: State) -> None:
     async def script(world: World) -> None:
         called: list[bool] = []
-        world.service.desk.reload = lambda: called.append(True)
+
+        async def prepare() -> Change:
+            called.append(True)
+            return lambda: None
+
+        world.prepare = prepare
         axis = world.axis
         if state is State.ARMING:
             await world.until(lambda: axis.ready_to_arm)
@@ -126,10 +139,10 @@ def test_an_axis_that_is_not_disarmed_is_left_as_it_is(state: State) -> None:
         if state is State.DISARMING:
             axis.disarm()
         elif state is State.TRIPPED:
-            world.drive.change(world.service.uptime_s, fault_code=3)
+            world.drive.change(world.service.statistics.uptime_s, fault_code=3)
             await world.until(lambda: axis.state is State.TRIPPED)
         with pytest.raises(Refused, match=f"axis x is {state}") as refused:
-            world.service.handle(RELOAD)
+            await world.reload()
         assert refused.value.code == "armed"
         assert world.state() is state
         assert (world.axis, called) == (axis, [])
@@ -160,7 +173,7 @@ def test_a_file_that_is_wrong_or_changes_too_much_is_told_with_line_and_key(
         axis, reload = world.axis, reloading(world, file)
         change(file, old, new)
         with pytest.raises(ConfigError) as error:
-            reload()
+            await reload()
         problem = error.value.problems[0]
         assert said in str(error.value)
         assert problem.key == key
@@ -183,7 +196,7 @@ def test_a_dbc_file_that_has_changed_since_the_start_is_told_and_not_passed_over
         assert isinstance(drive, DbcDrive)
         drive.traits = replace(drive.traits, digest="of another content")
         with pytest.raises(ConfigError, match="the content of the DBC file has changed: only a restart") as error:
-            reload()
+            await reload()
         assert error.value.problems[0].key == "protocol.dbc"
         assert world.axis is axis
 
@@ -206,7 +219,7 @@ def test_settings_that_stand_in_no_file_cannot_be_read_again() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         with pytest.raises(Refused) as refused:
-            world.service.handle(RELOAD)
+            await world.reload()
         assert refused.value.code == "no_configuration"
 
     simulate(script)

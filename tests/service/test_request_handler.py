@@ -13,9 +13,6 @@ from tests.service.rig import World, simulate
 from tests.service.test_log_lines import of
 from twostage_servo.api.request_reading import parse_request
 from twostage_servo.axis.state import State
-from twostage_servo.service.request_age import RequestAge
-from twostage_servo.service.request_handler import RequestHandler
-from twostage_servo.service.status_lines import StatusLines
 
 
 @dataclass
@@ -27,12 +24,12 @@ class Client:
     gone: bool = False
 
 
-class Desk:
-    """A handler of requests of a service whose axis is armed."""
+class Asking:
+    """Requests to a service whose axis is armed."""
 
     def __init__(self, world: World) -> None:
-        self.status = StatusLines(world.service)
-        self.handler = RequestHandler(world.service, self.status, RequestAge(0.01))
+        self.handler = world.requests
+        self.status = world.requests.status
 
     def ask(self, client: Client | None = None, *, age_s: float = 0.0, **fields: Any) -> dict[str, Any] | None:
         """Return the answer of a request of this age; None if there is none."""
@@ -45,28 +42,28 @@ class Desk:
         return answer
 
 
-def at_a_desk(script: Callable[[World, Desk], None]) -> list[Any]:
+def with_an_axis_that_holds(script: Callable[[World, Asking], None]) -> list[Any]:
     """Run a script with an axis that holds; return the lines of the log since then."""
 
     async def main(world: World) -> list[Any]:
         await world.armed()
         with structlog.testing.capture_logs() as logs:
-            script(world, Desk(world))
+            script(world, Asking(world))
         return logs
 
     return simulate(main)
 
 
 def test_what_is_carried_out_is_told_with_who_asked_for_what() -> None:
-    def script(world: World, desk: Desk) -> None:
-        answer = desk.ask(op="move", position=5.0)
+    def script(world: World, asking: Asking) -> None:
+        answer = asking.ask(op="move", position=5.0)
         assert answer is not None
         assert answer["move"]["target"] == 5.0
-        desk.ask(op="status")
-        desk.ask(op="recording")
-        desk.ask(op="jog", velocity=1.0)
+        asking.ask(op="status")
+        asking.ask(op="recording")
+        asking.ask(op="jog", velocity=1.0)
 
-    logs = at_a_desk(script)
+    logs = with_an_axis_that_holds(script)
     assert of(logs, "request") == [
         {
             "event": "request", "log_level": "info", "room": "control_socket", "peer": "pid 1 uid 2 #3", "op": "move",
@@ -76,25 +73,25 @@ def test_what_is_carried_out_is_told_with_who_asked_for_what() -> None:
 
 
 def test_an_old_name_is_taken_and_the_log_names_the_new_one() -> None:
-    def script(_: World, desk: Desk) -> None:
-        answer = desk.ask(op="take")
+    def script(_: World, asking: Asking) -> None:
+        answer = asking.ask(op="take")
         assert answer is not None
         assert answer["ok"]
-        desk.ask(op="preempt")
+        asking.ask(op="preempt")
 
-    (told,) = of(at_a_desk(script), "an old name")
+    (told,) = of(with_an_axis_that_holds(script), "an old name")
     assert (told["op"], told["use"], told["log_level"]) == ("take", "preempt", "warning")
 
 
 def test_what_is_refused_is_told_to_the_client_and_to_the_log() -> None:
-    def script(_: World, desk: Desk) -> None:
-        answer = desk.ask(op="move", position=1e6)
+    def script(_: World, asking: Asking) -> None:
+        answer = asking.ask(op="move", position=1e6)
         assert answer is not None
         said.update(answer["error"])
-        assert desk.ask(op="status", axis="y")["error"]["code"] == "which_axis"  # type: ignore[index]
+        assert asking.ask(op="status", axis="y")["error"]["code"] == "which_axis"  # type: ignore[index]
 
     said: dict[str, str] = {}
-    told, other = of(at_a_desk(script), "refused")
+    told, other = of(with_an_axis_that_holds(script), "refused")
     assert told == {
         "event": "refused", "log_level": "warning", "room": "control_socket", "peer": "pid 1 uid 2 #3", "op": "move",
         "code": said["code"], "reason": said["message"],
@@ -103,16 +100,16 @@ def test_what_is_refused_is_told_to_the_client_and_to_the_log() -> None:
 
 
 def test_of_one_who_has_gone_only_what_brings_to_rest_is_carried_out() -> None:
-    def script(world: World, desk: Desk) -> None:
+    def script(world: World, asking: Asking) -> None:
         gone = Client(gone=True)
-        assert desk.ask(gone, op="move", position=5.0) is None
+        assert asking.ask(gone, op="move", position=5.0) is None
         assert world.axis.state is State.HOLDING
-        assert desk.ask(gone, op="status") is not None
-        desk.ask(op="move", position=100.0)
-        assert desk.ask(gone, op="stop") is not None
+        assert asking.ask(gone, op="status") is not None
+        asking.ask(op="move", position=100.0)
+        assert asking.ask(gone, op="stop") is not None
         assert world.state() is State.STOPPING
 
-    assert of(at_a_desk(script), "request dropped, its client has gone") == [
+    assert of(with_an_axis_that_holds(script), "request dropped, its client has gone") == [
         {
             "event": "request dropped, its client has gone", "log_level": "warning", "room": "control_socket",
             "peer": "pid 1 uid 2 #3", "op": "move",
@@ -122,8 +119,8 @@ def test_of_one_who_has_gone_only_what_brings_to_rest_is_carried_out() -> None:
 
 @pytest.mark.parametrize(("age_s", "expired"), [(0.999, False), (1.001, True)])
 def test_a_command_expires_after_a_second(age_s: float, *, expired: bool) -> None:
-    def script(_: World, desk: Desk) -> None:
-        answer = desk.ask(age_s=age_s, op="move", position=5.0)
+    def script(_: World, asking: Asking) -> None:
+        answer = asking.ask(age_s=age_s, op="move", position=5.0)
         assert answer is not None
         assert answer["ok"] is not expired
         if expired:
@@ -131,50 +128,50 @@ def test_a_command_expires_after_a_second(age_s: float, *, expired: bool) -> Non
             assert "this move may have waited for 1.0 s" in answer["error"]["message"]
             assert "1 s are the most" in answer["error"]["message"]
 
-    at_a_desk(script)
+    with_an_axis_that_holds(script)
 
 
 @pytest.mark.parametrize("op", ["stop", "disarm", "release", "status"])
 def test_what_sets_nothing_in_motion_never_expires(op: str) -> None:
-    def script(_: World, desk: Desk) -> None:
-        desk.ask(op="move", position=100.0)
-        answer = desk.ask(age_s=100.0, op=op)
+    def script(_: World, asking: Asking) -> None:
+        asking.ask(op="move", position=100.0)
+        answer = asking.ask(age_s=100.0, op=op)
         assert answer is not None
         assert answer["ok"]
 
-    at_a_desk(script)
+    with_an_axis_that_holds(script)
 
 
 def test_a_flood_of_stops_makes_a_report_for_the_first_alone() -> None:
-    def script(_: World, desk: Desk) -> None:
-        desk.ask(op="move", position=100.0)
-        states = [desk.ask(op="stop") for _ in range(5)]
-        made.append(desk.status.made)
-        desk.ask(op="status")
-        made.append(desk.status.made)
+    def script(_: World, asking: Asking) -> None:
+        asking.ask(op="move", position=100.0)
+        states = [asking.ask(op="stop") for _ in range(5)]
+        made.append(asking.status.made)
+        asking.ask(op="status")
+        made.append(asking.status.made)
         assert states == [states[0]] * 5
         assert states[0] is not None
         assert states[0]["axis"]["state"] == "stopping"
 
     made: list[int] = []
-    at_a_desk(script)
+    with_an_axis_that_holds(script)
     assert made == [2, 2]  # of the move, and of the first stop
 
 
 def test_an_answer_that_cannot_be_made_ends_the_service() -> None:
-    def script(world: World, desk: Desk) -> None:
+    def script(world: World, asking: Asking) -> None:
         def broken(_: object) -> None:
             raise RuntimeError("a defect")
 
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(type(world.axis_loop), "report", broken)
-            answer = desk.handler.answer(parse_request(b'{"op": "status"}'), Client())
+            patch.setattr("twostage_servo.service.status_lines.report_axis", broken)
+            answer = asking.handler.answer(parse_request(b'{"op": "status"}'), Client())
             told = json.loads(b"".join(answer.pieces))
         assert told["error"]["code"] == "internal_error"
         assert "RuntimeError: a defect; the service is stopping" in told["error"]["message"]
-        assert world.service.is_ending
+        assert world.service.shutdown.is_ending
 
-    at_a_desk(script)
+    with_an_axis_that_holds(script)
 
 
 def test_a_defect_in_preparing_a_reload_ends_the_service_and_is_told() -> None:
@@ -184,14 +181,13 @@ def test_a_defect_in_preparing_a_reload_ends_the_service_and_is_told() -> None:
         async def prepare() -> Callable[[], None]:
             raise RuntimeError("a defect")
 
-        world.service.desk.prepare = prepare
+        world.prepare = prepare
         client = Client(arrived_after_s=asyncio.get_running_loop().time())
-        refused = await Desk(world).handler.prepare(parse_request(b'{"op": "reload"}'), client)
+        refused = await Asking(world).handler.prepare(parse_request(b'{"op": "reload"}'), client)
         assert refused is not None
         error = json.loads(b"".join(refused.pieces))["error"]
         assert error == {"code": "internal_error", "message": "RuntimeError: a defect; the service is stopping"}
-        assert world.service.is_ending
-        assert [world.service.failed_tick] == [None]  # it was in no tick
+        assert world.service.shutdown.is_ending
 
     simulate(main)
 
@@ -205,16 +201,16 @@ def test_a_reload_is_not_too_late_after_a_long_preparation_that_was_begun_in_tim
             await world.seconds(5.0)
             return lambda: put.append("in force")
 
-        world.service.desk.prepare = prepare
-        desk, reload = Desk(world), parse_request(b'{"op": "reload"}')
+        world.prepare = prepare
+        asking, reload = Asking(world), parse_request(b'{"op": "reload"}')
         client = Client(arrived_after_s=asyncio.get_running_loop().time())
-        assert await desk.handler.prepare(reload, client) is None
-        assert desk.handler.answer(reload, client).done
+        assert await asking.handler.prepare(reload, client) is None
+        assert asking.handler.answer(reload, client).done
         assert put == ["in force"]
-        refused = await desk.handler.prepare(reload, client)  # which is too old by now to be begun
+        refused = await asking.handler.prepare(reload, client)  # which is too old by now to be begun
         assert refused is not None
         assert json.loads(b"".join(refused.pieces))["error"]["code"] == "expired"
-        assert not desk.handler.answer(reload, client).done
+        assert not asking.handler.answer(reload, client).done
         assert put == ["in force"]
 
     simulate(main)

@@ -10,7 +10,8 @@ import structlog
 
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, StatusRequest
-from twostage_servo.app.assembly import build_axis, put_axes_in
+from twostage_servo.app.assembly import build_axis
+from twostage_servo.app.build import put_axes_in
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
@@ -125,12 +126,12 @@ def test_an_axis_that_brakes_for_seconds_comes_to_rest_before_its_drive_is_disab
 @pytest.mark.parametrize("stated", [True, False])
 def test_after_a_reload_the_end_waits_for_what_the_axes_take_by_then(stated: bool) -> None:
     async def script(world: World) -> None:
-        service = world.service
-        before = service.settings.shutdown_timeout_ms
+        shutdown = world.service.shutdown
+        before = shutdown.settings.shutdown_timeout_ms
         slow = load(None, ["axis.limits.acceleration=20"])
-        put_axes_in(service, [build_axis(slow, world.profile.traits, service.ticks.period_s)])
-        assert (service.settings.shutdown_timeout_ms > 10.0 * before) is not stated
-        assert service.settings.shutdown_timeout_ms == (before if stated else 2.0 * stop_ms(world.axis.design))
+        put_axes_in(world.parts, [build_axis(slow, world.axis_loop.drive.traits, world.parts.period_s)])
+        assert (shutdown.settings.shutdown_timeout_ms > 10.0 * before) is not stated
+        assert shutdown.settings.shutdown_timeout_ms == (before if stated else 2.0 * stop_ms(world.axis.design))
 
     simulate(script, *["service.shutdown_timeout_ms=900"] * stated)
 
@@ -191,7 +192,7 @@ def test_a_bus_that_is_not_there_yet_is_waited_for(monkeypatch: pytest.MonkeyPat
 
         monkeypatch.setattr(world.axis_loop.bus.link, "open", not_yet)
         await world.seconds(0.5)
-        assert world.service.snapshot()["bus"] == {
+        assert world.loop.snapshot()["bus"] == {
             "channel": "can0", "open": False, "error": "no such device", "drive_state": None, "controller": "active",
             "error_counters": None,
         }  # fmt: skip
@@ -293,7 +294,7 @@ def test_frames_that_cannot_be_used_are_counted_and_bridged() -> None:
                 intruder.send(message)
             intruder.send(can.Message(arbitration_id=0x7FF, is_extended_id=False, data=bytes(8)))
             await world.seconds(0.03)
-        frames = world.service.snapshot()["frames"]
+        frames = world.loop.snapshot()["frames"]
         assert frames["rejected"] == 6
         assert frames["rejected_by_reason"] == {reason: len(messages) for reason, messages in rejected.items()}
         await world.until(lambda: world.state() is State.HOLDING)
@@ -349,7 +350,7 @@ def test_arming_over_a_closed_bus_says_that_the_bus_is_closed(monkeypatch: pytes
         monkeypatch.setattr(world.axis_loop.bus.link, "open", fail)
         await world.seconds(0.1)
         with pytest.raises(Refused, match="the bus is not open: unplugged"):
-            world.service.handle(ArmRequest())
+            world.requests.handle(ArmRequest())
 
     simulate(script)
 
@@ -365,8 +366,8 @@ def test_an_ending_service_takes_no_more_orders(moving: bool) -> None:
         for _ in range(100):
             for request in (ArmRequest(), MoveRequest(position=0.0)):
                 with pytest.raises(Refused, match="the service is ending"):
-                    world.service.handle(request)
-            assert world.service.handle(StatusRequest())
+                    world.requests.handle(request)
+            assert world.requests.handle(StatusRequest())
             await world.seconds(0.01)
             if world.serving.done():
                 break
@@ -388,7 +389,7 @@ def test_a_send_that_fails_is_a_lost_bus(monkeypatch: pytest.MonkeyPatch) -> Non
             await world.seconds(0.015)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.BUS_FAILED
-        assert world.service.snapshot()["axis"]["position"] is None
+        assert world.loop.snapshot()["axis"]["position"] is None
 
     simulate(script)
 
@@ -411,10 +412,10 @@ def test_a_drive_with_an_error_word_alone_trips_the_axis() -> None:
 def test_feedback_that_has_stopped_is_not_shown_as_the_present(monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        assert world.service.snapshot()["axis"]["position"] == 0.0
+        assert world.loop.snapshot()["axis"]["position"] == 0.0
         monkeypatch.setattr(world.drive, "cycle", lambda _: [])
         await world.seconds(1.0)
-        status = world.service.snapshot()["axis"]
+        status = world.loop.snapshot()["axis"]
         assert status["position"] is None
         assert status["feedback_age_ms"] > 900.0
 
@@ -448,10 +449,10 @@ def test_a_bus_that_is_being_opened_is_closed_at_the_end(monkeypatch: pytest.Mon
 
 def test_how_old_feedback_is_and_how_long_its_answer_takes_is_told_where_it_was_measured() -> None:
     async def script(world: World) -> Any:
-        before = world.service.snapshot()["frames"]
+        before = world.loop.snapshot()["frames"]
         world.wire.disturb = lambda sender, frame, _: [(0.003 if sender == "drive" else 0.0, frame)]
         await world.seconds(1.0)
-        return before, world.service.snapshot()["frames"]
+        return before, world.loop.snapshot()["frames"]
 
     before, after = simulate(script)
     assert before["age_us"] is None

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,20 +12,21 @@ import pytest
 import structlog
 
 from twostage_servo.api.request_reading import read_request
-from twostage_servo.app.assembly import build_service, drive_side, reload_machine
+from twostage_servo.app.assembly import prepare_axes
+from twostage_servo.app.build import build_parts, put_axes_in, traits_of
+from twostage_servo.app.closed_loop import ClosedLoop, Wires, closed_loop
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.canbus.link import Link
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.files import shipped_configuration
-from twostage_servo.config.machine import load_machine
+from twostage_servo.config.machine import Machine, load_machine
+from twostage_servo.service.request_handler import RequestHandler
 from twostage_servo.service.servo_service import ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
-from twostage_servo.simulation.node import DriveNode
 from twostage_servo.timing.virtual_clock import run
 
 DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")
@@ -54,15 +55,30 @@ def machine_file(folder: Path, pages: dict[str, str], machine: str = "") -> Path
 class Plant:
     """A service with the drives of all its axes, each bus a wire of its own."""
 
-    service: ServoService
+    loop: ClosedLoop
     wires: dict[str, Wire]
-    drives: dict[str, SimulatedDrive] = field(default_factory=dict)
+
+    @property
+    def service(self) -> ServoService:
+        return self.loop.service
+
+    @property
+    def requests(self) -> RequestHandler:
+        return self.loop.requests
+
+    @property
+    def drives(self) -> dict[str, SimulatedDrive]:
+        return {name: one.drive for name, one in self.loop.axes.items()}
 
     def axis(self, name: str) -> Axis:
-        return self.service.axis_loop(name).axis
+        return self.loop.axis_loop(name).axis
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        return self.service.handle(read_request(request))
+        return self.requests.handle(read_request(request))
+
+    def reload(self, running: Machine, fresh: Machine) -> None:
+        parts = self.loop.parts
+        put_axes_in(parts, prepare_axes(traits_of(parts.axis_loops), running, fresh, parts.period_s))
 
     def states(self) -> list[State]:
         return [axis_loop.axis.state for axis_loop in self.service.axis_loops]
@@ -84,34 +100,10 @@ def operate(path: Path, script: Callable[[Plant], Awaitable[None]], *overrides: 
     machine = load_machine(path, overrides)
 
     async def main() -> None:
-        loop = asyncio.get_running_loop()
-        wires: dict[str, Wire] = {}
-
-        def wire(channel: str | int) -> Wire:
-            return wires.setdefault(str(channel), Wire(loop.time))
-
-        service = build_service(machine, opener=lambda bus: wire(bus.channel).attach("service"))
-        plant, nodes = Plant(service, wires), []
-        for loaded, axis_loop in zip(machine.axes, service.axis_loops, strict=True):
-            config = loaded.config
-            side = drive_side(loaded, axis_loop.drive)
-            drive = plant.drives[axis_loop.name] = SimulatedDrive(config.simulation, side, loop.time())
-
-            def attach(name: str = axis_loop.name, channel: str | int = config.bus.channel) -> can.BusABC:
-                return wire(channel).attach(name)
-
-            link = Link(config.bus, side.identifiers, attach)
-            nodes.append(DriveNode(drive, link, config.simulation.cycle_ms / 1e3))
-        serving = asyncio.create_task(service.run())
-        driving = [asyncio.create_task(node.run()) for node in nodes]
-        try:
-            await script(plant)
-        finally:
-            service.shut_down()
-            await asyncio.gather(serving, return_exceptions=True)
-            for node in nodes:
-                node.stop()
-            await asyncio.gather(*driving)
+        wires = Wires()
+        async with closed_loop(machine, wires=wires) as loop:
+            by_channel = {str(one.config.bus.channel): wires.wire(one.config.bus) for one in machine.axes}
+            await script(Plant(loop, by_channel))
 
     run(main())
 
@@ -272,7 +264,7 @@ def test_an_axis_that_is_disarmed_for_another_gets_no_effort_from_that_tick_on(t
     path = machine_file(tmp_path, pages, 'fault_reaction = "disarm"\n')
 
     async def script(plant: Plant) -> None:
-        axis_loop = plant.service.axis_loop("y")
+        axis_loop = plant.loop.axis_loop("y")
         await plant.armed()
         plant.drives["y"].change(asyncio.get_running_loop().time(), load=-2.0)
         await plant.until(lambda: abs(axis_loop.command.effort) > 1.0)
@@ -367,9 +359,9 @@ def test_a_drive_is_disabled_at_the_end_though_another_ones_command_cannot_be_ma
             raise RuntimeError(f"no frame for {command}")
 
         await plant.armed()
-        monkeypatch.setattr(plant.service.axis_loop("x"), "_prepared", broken)
+        monkeypatch.setattr(plant.loop.axis_loop("x"), "_prepared", broken)
         await asyncio.sleep(0.05)  # half of what a drive waits for commands
-        assert isinstance(plant.service.failure, RuntimeError)
+        assert isinstance(plant.service.shutdown.failure, RuntimeError)
         assert plant.drives["x"].enabled
         assert not plant.drives["y"].enabled
 
@@ -443,10 +435,10 @@ def test_a_reload_takes_all_files_or_none(two_on_one_bus: Path) -> None:
         text = other.read_text()
         other.write_text(text.replace("identifier_offset = 1", "identifier_offset = 2"))
         with pytest.raises(ConfigError, match=r"y\.toml.*\[protocol\] has changed"):
-            reload_machine(plant.service, machine, load_machine(two_on_one_bus))
+            plant.reload(machine, load_machine(two_on_one_bus))
         assert plant.axis("x").settings.cruise_velocity == 100.0
         other.write_text(text)
-        reload_machine(plant.service, machine, load_machine(two_on_one_bus))
+        plant.reload(machine, load_machine(two_on_one_bus))
         assert [axis_loop.axis.settings.cruise_velocity for axis_loop in plant.service.axis_loops] == [40.0, 40.0]
 
     operate(two_on_one_bus, script)
@@ -496,13 +488,13 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_drives_with_the_same_identifiers_on_one_bus_are_refused(tmp_path: Path) -> None:
     path = machine_file(tmp_path, {"x": axis_page("x", "can0"), "y": axis_page("y", "can0")})
     with pytest.raises(ConfigError, match=r"y\.toml.*axis x .* uses identifier 0x\w+ on this bus as well"):
-        build_service(load_machine(path))
+        build_parts(load_machine(path))
 
 
 def test_an_offset_beyond_the_largest_identifier_is_refused(tmp_path: Path) -> None:
     path = machine_file(tmp_path, {"x": axis_page("x", "can0", offset=0x700)})
     with pytest.raises(ConfigError, match=r"protocol\.identifier_offset.*more than 0x7FF"):
-        build_service(load_machine(path))
+        build_parts(load_machine(path))
 
 
 def test_a_bus_that_cannot_carry_the_frames_is_refused(tmp_path: Path) -> None:
@@ -510,8 +502,8 @@ def test_a_bus_that_cannot_carry_the_frames_is_refused(tmp_path: Path) -> None:
     pages = {"x": axis_page("x", "can0"), "y": axis_page("y", "can0", offset=1)}
     machine = load_machine(machine_file(tmp_path, pages), ["x:bus.bitrate=47000", "y:bus.bitrate=47000"])
     with pytest.raises(ConfigError, match=r"bus\.bitrate.*the frames of x, y .* 101 % of 47 kbit/s"):
-        build_service(machine)
-    build_service(load_machine(tmp_path / "machine.toml", ["x:bus.bitrate=48000", "y:bus.bitrate=48000"]))
+        build_parts(machine)
+    build_parts(load_machine(tmp_path / "machine.toml", ["x:bus.bitrate=48000", "y:bus.bitrate=48000"]))
 
 
 def test_an_override_reaches_the_axis_that_it_names(two_on_one_bus: Path) -> None:

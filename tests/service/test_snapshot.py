@@ -1,6 +1,5 @@
 """What `status` shows: each value under its name, and nothing where nothing is known."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,13 +9,12 @@ from twostage_servo.api.status import GarbageStatus, RealtimeStatus, Refusal
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.service.snapshot import report_service
-from twostage_servo.telemetry.trip_files import TripFile
+from twostage_servo.service.snapshot import StatusReport
 
 
 def test_a_drive_that_was_never_heard_has_no_position_and_no_age() -> None:
     async def script(world: World) -> dict[str, Any]:
-        return world.axis_loop.report().to_json()
+        return world.report
 
     report = simulate(script)
     axis = report["axis"]
@@ -35,7 +33,7 @@ def test_an_axis_in_mid_move_is_shown_with_its_estimates_and_its_move(monkeypatc
     async def script(world: World) -> None:
         await world.cruising(target=400.0, velocity=80.0)
         axis, estimate = world.axis, world.axis.estimate
-        report = world.axis_loop.report().to_json()
+        report = world.report
         shown = report["axis"]
         assert shown["state"] == State.SPEED_STAGE
         assert shown["velocity"] == estimate.velocity == pytest.approx(80.0, rel=0.05)
@@ -58,7 +56,7 @@ def test_an_axis_in_mid_move_is_shown_with_its_estimates_and_its_move(monkeypatc
         assert report["bus"]["channel"] == "can0"
         assert report["bus"]["controller"] == "active"
         monkeypatch.setattr(Axis, "saturated", True)
-        assert world.axis_loop.report().to_json()["axis"]["saturated"] is True
+        assert world.report["axis"]["saturated"] is True
 
     simulate(script)
 
@@ -68,7 +66,7 @@ def test_a_trip_is_shown_with_its_file_and_with_what_made_it_worse() -> None:
         await world.cruising()
         world.axis.raise_trip(TripCode.FOLLOWING_ERROR, "first")
         await world.seconds(0.01)
-        trip = world.axis_loop.report().to_json()["trip"]
+        trip = world.report["trip"]
         first = world.axis.trip
         assert first is not None
         assert trip == {
@@ -77,9 +75,8 @@ def test_a_trip_is_shown_with_its_file_and_with_what_made_it_worse() -> None:
             "file_error": None,
         }  # fmt: skip
         world.axis.raise_trip(TripCode.DRIVE_FAULT, "second")
-        world.axis_loop.event_log.trip_file = file = TripFile()
-        file.path, file.error = Path("/var/trips/1.json"), "the disk is full"
-        trip = world.axis_loop.report().to_json()["trip"]
+        first.file.path, first.file.error = "/var/trips/1.json", "the disk is full"
+        trip = world.report["trip"]
         assert trip["code"] == "following_error"
         assert (trip["escalation"], trip["codes"]) == ("drive_fault", ["following_error", "drive_fault"])
         assert (trip["file"], trip["file_error"]) == ("/var/trips/1.json", "the disk is full")
@@ -100,7 +97,7 @@ def test_each_counter_stands_under_its_name(monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.setattr(Axis, "predicted_ticks", 3001)
         counters.rejected_by_reason["remote"] = 4001
         counters.errors_by_kind["bus_off"] = 5001
-        frames = world.axis_loop.report().to_json()["frames"]
+        frames = world.report["frames"]
         assert [frames[name] for name in of_link] == list(range(1001, 1008))
         assert [frames[name] for name in of_monitor] == list(range(2001, 2006))
         assert frames["predicted"] == 3001
@@ -116,7 +113,7 @@ def test_each_input_stands_under_its_name(name: str) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         for one in ("safe_torque_off", "positive_limit", "negative_limit", "home_switch"):
             setattr(world.axis.drive, one, one == name)
-        inputs = world.axis_loop.report().to_json()["inputs"]
+        inputs = world.report["inputs"]
         assert [one for one, on in inputs.items() if on] == [name]
 
     simulate(script)
@@ -126,8 +123,8 @@ def test_what_all_axes_have_in_common() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         await world.seconds(1.0)
-        report = report_service(world.service).to_json()
-        assert report["uptime_s"] == pytest.approx(world.service.uptime_s, abs=1e-3)
+        report = world.loop.snapshot()
+        assert report["uptime_s"] == pytest.approx(world.service.statistics.uptime_s, abs=1e-3)
         assert report["uptime_s"] > 1.0
         assert report["lease"] == {"holder": None}
         assert report["ticks"]["count"] == world.service.statistics.count
@@ -137,8 +134,9 @@ def test_what_all_axes_have_in_common() -> None:
             refused=[Refusal(what="memory", asked="locked", why="no right", remedy="grant it")],
             garbage=GarbageStatus(collections=3, postponed=2, longest_us=1.0),
         )  # fmt: skip
-        world.service.host = lambda: host
-        assert report_service(world.service).to_json()["realtime"] == {
+        parts = world.parts
+        told = StatusReport(parts.axis_loops, parts.statistics, parts.authority, lambda: host).common()
+        assert told.to_json()["realtime"] == {
             "busy_wait": "off", "margin_us": 1.5, "output_offset": 0.5, "output_offset_us": None,
             "granted": {"cpus": "0"},
             "refused": [{"what": "memory", "asked": "locked", "why": "no right", "remedy": "grant it"}],

@@ -253,7 +253,7 @@ def test_the_mask_for_new_files_is_what_it_was(path: Path) -> None:
 
 def test_one_that_was_never_started_removes_nothing(path: Path) -> None:
     async def script(world: World) -> None:
-        await ControlSocket(path, world.service).stop()
+        await world.loop.control_socket(path).stop()
 
     path.parent.mkdir()
     path.touch()

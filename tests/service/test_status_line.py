@@ -3,7 +3,7 @@
 from tests.service.rig import World, simulate
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.service.status_line import WORDS, StatusLine, status_line
+from twostage_servo.service.status_line import WORDS
 from twostage_servo.timing.ticks import Tick
 
 
@@ -25,7 +25,7 @@ def test_every_state_has_its_words() -> None:
 def test_what_an_axis_does_is_told_once_a_change() -> None:
     async def script(world: World) -> None:
         lines: list[str] = []
-        world.service.publishers.append(StatusLine(world.service, Told(lines)).publish)
+        world.loop.listen(world.status_line(Told(lines)).publish)
         await world.cruising()
         await world.until(lambda: world.state() is State.HOLDING)
         await world.seconds(5.0)
@@ -45,7 +45,7 @@ def test_a_line_that_could_not_be_told_is_told_later() -> None:
                 lines.append(line)
             return not busy
 
-        world.service.publishers.append(StatusLine(world.service, show).publish)
+        world.loop.listen(world.status_line(show).publish)
         await world.armed()
         world.axis.raise_trip(TripCode.JAM, "nothing moves")
         await world.seconds(1.0)
@@ -63,10 +63,10 @@ def test_a_trip_is_told_with_its_cause_and_what_to_do_next() -> None:
         await world.armed()
         world.axis.raise_trip(TripCode.JAM, "effort 12 V\nand no motion.")
         await world.seconds(1.0)
-        line = status_line(world.service, 0)
+        line = world.line()
         assert line.startswith("x tripped (jam): effort 12 V and no motion. Find what holds the axis")
         world.axis.reset()
-        assert status_line(world.service, 0) == "x disarmed"
+        assert world.line() == "x disarmed"
 
     simulate(script)
 
@@ -75,14 +75,14 @@ def test_a_silent_drive_a_bus_in_trouble_and_one_that_is_gone_are_told() -> None
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         world.axis_loop.bus.link.controller_state = "passive"
-        assert status_line(world.service, 0) == "x disarmed, bus can0 error-passive"
+        assert world.line() == "x disarmed, bus can0 error-passive"
         world.axis.drive.forget()
-        assert status_line(world.service, 0) == "x disarmed, the drive is silent"
+        assert world.line() == "x disarmed, the drive is silent"
         world.axis_loop.bus.error = "bus socketcan can0 failed: Network is down. Bring it up."
-        line = status_line(world.service, 0)
+        line = world.line()
         assert line == "x disarmed, no bus: bus socketcan can0 failed: Network is down. Bring it up."
         world.axis_loop.bus.error = "x" * 10_000
-        assert len(status_line(world.service, 0)) == 2000
+        assert len(world.line()) == 2000
         world.axis_loop.bus.error = None
 
     simulate(script)
@@ -91,7 +91,7 @@ def test_a_silent_drive_a_bus_in_trouble_and_one_that_is_gone_are_told() -> None
 def test_missed_ticks_and_the_end_are_told() -> None:
     async def script(world: World) -> None:
         lines: list[str] = []
-        world.service.publishers.append(StatusLine(world.service, Told(lines)).publish)
+        world.loop.listen(world.status_line(Told(lines)).publish)
         await world.until(lambda: world.axis.ready_to_arm)
         world.ticks.hold_s = 0.05
         await world.seconds(1.5)
@@ -99,7 +99,7 @@ def test_missed_ticks_and_the_end_are_told() -> None:
         await world.seconds(2.0)
         assert lines[-1] == "x disarmed"
         world.service.shut_down()
-        assert status_line(world.service, 0) == "ending | x disarmed"
+        assert world.line() == "ending | x disarmed"
 
     simulate(script)
 
@@ -108,7 +108,7 @@ def test_missed_ticks_are_those_of_whole_seconds() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         lines: list[str] = []
-        line, statistics = StatusLine(world.service, Told(lines)), world.service.statistics
+        line, statistics = world.status_line(Told(lines)), world.service.statistics
         for index, missed in ((0, 0), (99, 3), (100, 4), (199, 4), (200, 4), (210, 9), (300, 9)):
             statistics.missed = missed
             line.publish(Tick(index, 0.01 * index, 0.0, 0))
@@ -129,7 +129,7 @@ def test_a_line_is_told_ten_times_a_second_at_most() -> None:
             told.append(index)
             return False
 
-        line = StatusLine(world.service, show)
+        line = world.status_line(show)
         for index in range(35):
             line.publish(Tick(index, 0.01 * index, 0.0, 0))
         assert told == [0, 10, 20, 30]

@@ -17,6 +17,7 @@ from twostage_servo.api.status import AxisReport
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.background_server import Priority
 from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.snapshot import report_axis
 from twostage_servo.service.status_lines import StatusLines
 from twostage_servo.service.watchers import Watchers
 from twostage_servo.timing.virtual_clock import run
@@ -37,7 +38,7 @@ class Work:
     def __init__(self, plant: Plant, patch: pytest.MonkeyPatch) -> None:
         self.made = self.within_ticks = 0
         self._in_tick = False
-        report, publish = AxisLoop.report, plant.service.publish
+        report, publish = report_axis, plant.service.publish
 
         def counted(axis_loop: AxisLoop) -> AxisReport:
             self.made += 1
@@ -49,7 +50,7 @@ class Work:
             publish(tick)
             self._in_tick = False
 
-        patch.setattr(AxisLoop, "report", counted)
+        patch.setattr("twostage_servo.service.status_lines.report_axis", counted)
         patch.setattr(plant.service, "publish", published)
 
 
@@ -59,8 +60,7 @@ def test_what_many_watchers_see_of_many_axes_is_made_once_a_tick_and_outside_of_
     path = tmp_path / "s"
 
     async def script(plant: Plant) -> None:
-        control = ControlSocket(path, plant.service)
-        plant.service.publishers.append(lambda tick: control.publish(tick.index))
+        control = plant.loop.control_socket(path)
         await control.start()
         watchers: list[Operator] = []
         for number in range(WATCHERS):
@@ -89,10 +89,12 @@ def test_what_many_watchers_see_of_many_axes_is_made_once_a_tick_and_outside_of_
 
 def test_a_line_has_what_the_snapshot_has(tmp_path: Path) -> None:
     async def script(plant: Plant) -> None:
-        status = StatusLines(plant.service)
+        status = StatusLines(plant.requests.status.report)
         for name in (None, *NAMES):
-            line = json.loads(b"".join(status.line(name, b'{"ok":true,')))
-            whole = json.loads(json.dumps(plant.service.snapshot(name)))
+            axis_loop = None if name is None else plant.loop.axis_loop(name)
+            line = json.loads(b"".join(status.line(axis_loop, b'{"ok":true,')))
+            addressed = None if axis_loop is None else [axis_loop]
+            whole = json.loads(json.dumps(plant.requests.status.report.snapshot(addressed)))
             assert line == {"ok": True} | whole
         assert status.made == len(NAMES)
         status.forget()
@@ -116,11 +118,11 @@ def test_a_flood_of_stops_makes_one_report_a_tick_and_a_command_is_seen_in_its_a
         assert (await other.done(op="stop"))["axis"]["state"] == "stopping"
         assert (await other.done(op="stop", quick=True))["axis"]["state"] == "quick_stopping"
         await world.seconds(1.0)
-        made, count = control._status.made, world.service.statistics.count
+        made, count = control._handler.status.made, world.service.statistics.count
         other.writer.write(b'{"op": "stop"}\n' * 500)
         for _ in range(500):
             await other.answer()
-        assert control._status.made - made <= world.service.statistics.count - count + 1
+        assert control._handler.status.made - made <= world.service.statistics.count - count + 1
 
     serve(path, script)
 
@@ -135,9 +137,9 @@ def test_a_defect_in_what_is_shown_ends_the_service(tmp_path: Path, monkeypatch:
         def defect(_: AxisLoop) -> dict[str, Any]:
             raise ZeroDivisionError("a defect")
 
-        monkeypatch.setattr(AxisLoop, "report", defect)
+        monkeypatch.setattr("twostage_servo.service.status_lines.report_axis", defect)
         await world.seconds(0.2)
-        assert isinstance(world.service.failure, ZeroDivisionError)
+        assert isinstance(world.service.shutdown.failure, ZeroDivisionError)
 
     serve(path, script)
 

@@ -37,7 +37,7 @@ def trip_in_mid_move(
 
     async def script(world: World) -> tuple[Trace, dict[str, Any]]:
         if folder is not None:
-            world.axis_loop.event_log.trip_files = TripFiles(folder)
+            world.loop.trip_files.files = TripFiles(folder)
         await world.cruising()
         await world.seconds(1.0)
         disk()
@@ -45,7 +45,7 @@ def trip_in_mid_move(
         await world.until(lambda: world.state() is State.TRIPPED)
         await world.seconds(0.5)
         assert world.service.statistics.missed == 0
-        return world.trace, world.service.snapshot()
+        return world.trace, world.loop.snapshot()
 
     return simulate(script, *overrides)
 
@@ -83,7 +83,7 @@ def test_the_length_is_the_recordings(tmp_path: Path) -> None:
 
 def test_each_trip_has_its_file(tmp_path: Path) -> None:
     async def script(world: World) -> None:
-        world.axis_loop.event_log.trip_files = files = TripFiles(tmp_path)
+        world.loop.trip_files.files = files = TripFiles(tmp_path)
         for number in range(1, 4):
             await world.armed()
             world.axis.raise_trip(TripCode.OVERSPEED, f"number {number}")
@@ -95,14 +95,14 @@ def test_each_trip_has_its_file(tmp_path: Path) -> None:
                 json.loads(files.latest.read_text(encoding="utf-8"))["snapshot"]["trip"]["cause"] == f"number {number}"
             )
             world.axis.reset()
-            assert world.service.snapshot()["trip"] is None
+            assert world.loop.snapshot()["trip"] is None
 
     simulate(script)
 
 
 def test_numbers_that_are_not_finite_are_null_in_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     async def script(world: World) -> None:
-        world.axis_loop.event_log.trip_files = TripFiles(tmp_path)
+        world.loop.trip_files.files = TripFiles(tmp_path)
         await world.cruising()
         step = TwoStageLaw.step
         monkeypatch.setattr(TwoStageLaw, "step", lambda law, sample: step(law, sample) + math.nan)
@@ -443,7 +443,7 @@ def test_a_trip_for_which_there_is_no_memory_is_told_and_changes_nothing_else(
         if where == "writer":
             monkeypatch.setattr(json, "dump", no_memory)
         elif where == "snapshot":
-            monkeypatch.setattr("twostage_servo.service.event_log.EventLog._document", no_memory)
+            monkeypatch.setattr("twostage_servo.service.trip_recorder.TripRecorder._document", no_memory)
         else:
             monkeypatch.setattr("twostage_servo.telemetry.recorder.Recorder.keep", no_memory)
 
@@ -498,8 +498,8 @@ def test_each_axis_tells_of_its_own_file(tmp_path: Path) -> None:
         await asyncio.sleep(0.1)
         assert one.path is not None
         assert another.path is not None
-        assert one.path.name.endswith("-x-jam.json")
-        assert another.path.name.endswith("-y-jam.json")
+        assert one.path.endswith("-x-jam.json")
+        assert another.path.endswith("-y-jam.json")
 
     run(write())
 
@@ -508,7 +508,7 @@ def test_the_file_of_an_earlier_trip_is_not_told_as_that_of_this_one(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     async def script(world: World) -> None:
-        world.axis_loop.event_log.trip_files = TripFiles(tmp_path)
+        world.loop.trip_files.files = TripFiles(tmp_path)
         for is_full in (False, True):
             await world.armed()
             if is_full:
@@ -516,7 +516,7 @@ def test_the_file_of_an_earlier_trip_is_not_told_as_that_of_this_one(
             world.axis.raise_trip(TripCode.OVERSPEED, "again")
             await world.until(lambda: world.state() is State.TRIPPED)
             await world.seconds(0.05)
-            trip = world.service.snapshot()["trip"]
+            trip = world.loop.snapshot()["trip"]
             assert (trip["file"] is None, trip["file_error"] is None) == (is_full, not is_full)
             if not is_full:
                 world.axis.reset()

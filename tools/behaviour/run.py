@@ -9,7 +9,6 @@ simulated drive has, and a machine of two axes on one bus, of which one trips. A
 import argparse
 import asyncio
 import contextlib
-import functools
 import hashlib
 import io
 import json
@@ -22,16 +21,12 @@ from typing import Final
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from twostage_servo.api.request_reading import read_request
-from twostage_servo.app.assembly import build_service, drive_side
+from twostage_servo.app.closed_loop import ClosedLoop, Wires, closed_loop
 from twostage_servo.axis.refusals import Refused
-from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.canbus.link import BusSettings
 from twostage_servo.cli.main import main as run_verb
 from twostage_servo.config.machine import load_machine
 from twostage_servo.service.log import open_log
-from twostage_servo.service.servo_service import ServoService
-from twostage_servo.simulation.bus import Wire
-from twostage_servo.simulation.drive import SimulatedDrive
-from twostage_servo.simulation.node import DriveNode
 from twostage_servo.timing.virtual_clock import run
 
 _CONFIGURATIONS: Final = Path(__file__).parents[2] / "config"
@@ -86,19 +81,10 @@ def _without_times(printed: str) -> str:
 
 async def two_axes() -> str:
     """Return the hash of all frames of two axes on a bus, and of what their requests came to."""
-    loop = asyncio.get_running_loop()
-    wire, seen = Wire(loop.time), hashlib.sha256()
+    clock, seen, wires = asyncio.get_running_loop(), hashlib.sha256(), Wires()
     machine = load_machine(_CONFIGURATIONS / "two_axes.toml")
     bus = BusSettings(interface="socketcan", channel="can0")
-    service = build_service(machine, bus, lambda _: wire.attach("service"))
-    drives, nodes = [], []
-    for loaded, axis in zip(machine.axes, service.axis_loops, strict=True):
-        side = drive_side(loaded, axis.drive)
-        drive = SimulatedDrive(loaded.config.simulation, side, loop.time())
-        link = Link(bus, side.identifiers, functools.partial(wire.attach, axis.name))
-        drives.append(drive)
-        nodes.append(DriveNode(drive, link, loaded.config.simulation.cycle_ms / 1e3))
-    listener = wire.attach("listener")
+    listener = wires.wire(bus).attach("listener")
 
     async def listen() -> None:
         while True:
@@ -106,36 +92,32 @@ async def two_axes() -> str:
                 seen.update(struct.pack("<dIB", frame.timestamp, frame.arbitration_id, len(frame.data)) + frame.data)
             await asyncio.sleep(0.001)
 
-    driving = [asyncio.create_task(node.run()) for node in nodes]
-    serving, listening = asyncio.create_task(service.run()), asyncio.create_task(listen())
-    for wait_s, step in _SCRIPT:
-        await asyncio.sleep(wait_s)
-        if isinstance(step, str):
-            place = drives[1].position
-            drives[1].change(loop.time(), measure=lambda position, place=place: 2.0 * place - position)
-        else:
-            seen.update(_ask(service, step).encode())
-    service.shut_down()
-    await serving
-    for node in nodes:
-        node.stop()
-    await asyncio.gather(*driving)
+    async with closed_loop(machine, bus=bus, wires=wires) as loop:
+        listening = asyncio.create_task(listen())
+        for wait_s, step in _SCRIPT:
+            await asyncio.sleep(wait_s)
+            if isinstance(step, str):
+                drive = loop.axes["y"].drive
+                place = drive.position
+                drive.change(clock.time(), measure=lambda position, place=place: 2.0 * place - position)
+            else:
+                seen.update(_ask(loop, step).encode())
     listening.cancel()
     await asyncio.gather(listening, return_exceptions=True)
     listener.shutdown()
     return seen.hexdigest()
 
 
-def _ask(service: ServoService, request: dict[str, object]) -> str:
+def _ask(loop: ClosedLoop, request: dict[str, object]) -> str:
     """Return what a request came to: its refusal, or how each axis is then."""
     try:
-        service.handle(read_request(request))
+        loop.requests.handle(read_request(request))
     except Refused as refused:
         return f"{refused.code}: {refused}"
     return json.dumps(
         [
             (axis.state, axis.drive.position, None if axis.trip is None else (axis.trip.code, axis.trip.cause))
-            for axis in (one.axis for one in service.axis_loops)
+            for axis in (one.axis for one in loop.service.axis_loops)
         ]
     )
 

@@ -45,7 +45,7 @@ def run_long(warm_up: int, ticks: int) -> dict[str, Any]:
     """
 
     async def main() -> dict[str, Any]:
-        async with operate(1, lambda _: None):
+        async with operate(1):
             await asyncio.sleep(warm_up * PERIOD_S)
             before_mb, begun_cpu_s, begun_s = resident_mb(), time.process_time(), time.perf_counter()
             await asyncio.sleep(ticks * PERIOD_S)

@@ -151,7 +151,8 @@ def time_ticks(axes: int, ticks: int, *, real: bool) -> dict[str, Any]:
 
     async def main() -> dict[str, Any]:
         stopwatch = Stopwatch(ticks, time.perf_counter if real else time.thread_time)
-        async with operate(axes, stopwatch.watch):
+        async with operate(axes) as loop:
+            stopwatch.watch(loop.service)
             await stopwatch.done.wait()
         return stopwatch.figures()
 

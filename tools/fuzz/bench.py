@@ -18,7 +18,8 @@ import structlog
 
 from tools.fuzz.drives import Drive
 from twostage_servo.api.request_reading import read_request
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.build import build_parts
+from twostage_servo.app.closed_loop import ServiceHarness
 from twostage_servo.axis.messages import ForeignCommand
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
@@ -27,6 +28,7 @@ from twostage_servo.control.plant import Plant
 from twostage_servo.drives.drive import Decoder, Report
 from twostage_servo.drives.frame import ReceivedFrame
 from twostage_servo.faults.frames import protocol_of
+from twostage_servo.service.runtime import Runtime
 from twostage_servo.timing.ticks import Tick, Ticks
 from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
@@ -226,10 +228,11 @@ class Bench:
             interface=interface, channel="made up", max_frames_per_tick=4096, reopen_interval_ms=20.0
         )
         settings = settings.with_frames_of(drive.loaded.config.bus)
-        self.service = service = build_service(drive.loaded, settings, lambda _: self.bus.reopen())
-        self.axis_loop = axis_loop = service.axis_loop()
-        self.period_s = service.ticks.period_s
-        service.ticks = ScriptedTicks(self)
+        parts = build_parts(drive.loaded, settings, lambda _: self.bus.reopen(), (self._observe,))
+        self.axis_loop = axis_loop = parts.axis_loop()
+        self.period_s = parts.period_s
+        self.harness = ServiceHarness(parts, Runtime(ScriptedTicks(self)))
+        self.service = self.harness.service
         self.kinds = drive.kinds
         self.commands = drive.kinds["command"]
         config = drive.loaded.config
@@ -262,11 +265,10 @@ class Bench:
         self._sends_seen = 0
         self._acting = 0.0
         self._enabled = False
-        takers = axis_loop.bus._takers  # noqa: SLF001 - counts what they decode
+        receivers = axis_loop.bus._receivers  # noqa: SLF001 - counts what they decode
         for name, kind in self.kinds.items():
             decode = self._counted(name, axis_loop.drive.decoders[kind.identifier])
-            takers[kind.identifier.identifier] = functools.partial(axis_loop.take, decode)
-        axis_loop.bus.observers.append(self._observe)
+            receivers[kind.identifier.identifier] = functools.partial(axis_loop._take, decode)  # noqa: SLF001 - likewise
 
     def _counted(self, name: str, decode: Decoder) -> Decoder:
         decoded = self.decoded
@@ -342,7 +344,7 @@ class Bench:
         """Ask the service for something; a refusal is an answer as well."""
         self.refused = ""
         try:
-            self.service.handle(read_request(request))
+            self.harness.requests.handle(read_request(request))
         except Refused as refusal:
             self.refused = refusal.code
             self.refusals[refusal.code] += 1
@@ -406,8 +408,8 @@ class Bench:
     def check_tick(self) -> None:
         """Check what holds after every tick."""
         service = self.service
-        if service.failure is not None:
-            raise service.failure
+        if service.shutdown.failure is not None:
+            raise service.shutdown.failure
         axis_loop = self.axis_loop
         axis = axis_loop.axis
         self.states[axis.state.value] += 1

@@ -134,7 +134,7 @@ class _Attack:
             self._make_frames()
         self._operate()
         if rng.random() < _SNAPSHOT_SHARE:
-            encode(bench.service.snapshot())  # which refuses what is not finite
+            encode(bench.harness.snapshot())  # which refuses what is not finite
         if self._stalls and rng.random() < 0.02:
             bench.missed_next = rng.choice((1, 2, 3, 6, 40, 1001))
         bench.lateness_next_s = rng.random() * bench.period_s * (0.9 if self._stalls and rng.random() < 0.05 else 0.01)
@@ -200,7 +200,7 @@ class _Attack:
         bench.bus.trouble = None
         bench.bus.refuses_to_open = False
         bench.answer_as_drive()
-        if not bench.service.is_ending and (
+        if not bench.service.shutdown.is_ending and (
             len(bench.bus.queue) <= _LEFT_AT_END or self._ticks_over == _TICKS_TO_DRAIN
         ):
             self._ticks_over = 0

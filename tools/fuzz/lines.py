@@ -21,10 +21,6 @@ from twostage_servo.api.requests import BadRequestError
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State
 from twostage_servo.service import answers
-from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.request_age import RequestAge
-from twostage_servo.service.request_handler import RequestHandler
-from twostage_servo.service.status_lines import StatusLines
 
 PER_EPISODE = 2000
 """Lines of one episode, which is a service from its start to its end."""
@@ -249,13 +245,9 @@ class Desk:
     """
 
     def __init__(self, bench: Bench, path: Path) -> None:
-        service = bench.service
         self.bench = bench
-        self.socket = ControlSocket(path, service)
+        self.socket = bench.harness.control_socket(path)
         self.codes: Counter[str] = Counter()
-        self._status = StatusLines(service)
-        self._handler = RequestHandler(service, self._status, RequestAge(service.ticks.period_s))
-        service.publishers.append(lambda tick: self._publish(tick.index))
 
     def ask(self, line: Line) -> dict[str, Any]:
         """Return the checked answer to a line."""
@@ -264,12 +256,8 @@ class Desk:
         except BadRequestError as error:
             answer = answers.failure(RefusalCode.BAD_REQUEST, str(error))
         else:
-            answer = b"".join(self._handler.answer(request, _Asker()).pieces)
+            answer = b"".join(self.bench.harness.requests.answer(request, _Asker()).pieces)
         return self.look(check_answer(answer, line), line)
-
-    def _publish(self, tick: int) -> None:
-        self._status.forget()
-        self.socket.publish(tick)
 
     def look(self, answer: dict[str, Any], line: Line) -> dict[str, Any]:
         """Count an answer, and check that nothing in the axis has become other than finite by its request."""
@@ -356,7 +344,7 @@ class _Conversation:
             for line in lines:
                 self._desk.ask(line)
         if rng.random() < 0.05:
-            bench.service.desk.leave(bench.service.desk.authority.holder or "")
+            bench.harness.requests.leave(bench.harness.requests.authority.holder or "")
 
     async def _connected(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         if self._connection is None:
@@ -367,7 +355,7 @@ class _Conversation:
 
     async def _exchange(self, lines: list[Line]) -> None:
         reader, writer = await self._connected()
-        self._bench.service.background.open(math.inf)  # no tick comes before all are answered
+        self._bench.harness.parts.background.open(math.inf)  # no tick comes before all are answered
         for line in lines:
             writer.write(line.data + b"\n")
         self.over_socket += len(lines)

@@ -20,7 +20,7 @@ from tools.fuzz.bench import Bench, Failed
 from tools.fuzz.drives import Drive
 from tools.fuzz.outcome import Outcome
 from tools.fuzz.reproducible import reproducible
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.build import build_parts
 from twostage_servo.axis.state import State
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import Config, LoadedConfig, load
@@ -296,7 +296,7 @@ def try_config(data: bytes, dbc: bytes | None, folder: Path, rng: random.Random)
     try:
         loaded = load(path)
         stage = "refused_by_service"
-        build_service(loaded)
+        build_parts(loaded)
     except ConfigError as error:
         check_problems(error, str(path))
         return stage

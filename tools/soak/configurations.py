@@ -22,7 +22,8 @@ from collections.abc import Iterator
 from random import Random
 from typing import Any
 
-from twostage_servo.app.assembly import build_service, design
+from twostage_servo.app.assembly import design
+from twostage_servo.app.build import build_parts
 from twostage_servo.axis.detection import detections
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import Config, LoadedConfig, load
@@ -110,7 +111,7 @@ class Configuration:
         ConfigError
             If it refuses it.
         """
-        build_service(self.load())
+        build_parts(self.load())
 
 
 def converted(length: float, time: float, tick_s: float, *, same_loop: bool = True) -> dict[str, Any]:

@@ -113,10 +113,12 @@ class Hostility:
         self, name: str, program: list[str], verb: str, config: Any, port: int, own: list[str]
     ) -> subprocess.Popen[bytes]:
         overrides = [*bench_overrides(config, port, self._folder), *own]
+        demo = str(_ROOT / "config" / "demo.toml")
+        if verb == "drive":
+            return self._spawn(name, [*program, str(os.getpid()), verb, demo, *overrides])
         options = [argument for override in overrides for argument in ("--set", override)]
-        report = [str(self._report)] if verb == "run" else []
-        command = [*program, str(os.getpid()), *report, verb, "--config", str(_ROOT / "config" / "demo.toml"), *options]
-        return self._spawn(name, [*command, "--json"])
+        command = [*program, str(os.getpid()), str(self._report), verb, "--config", demo, *options, "--json"]
+        return self._spawn(name, command)
 
     def _spawn(self, name: str, command: list[str]) -> subprocess.Popen[bytes]:
         with (self._folder / f"{name}.log").open("ab") as log, (self._folder / f"{name}.out").open("wb") as out:

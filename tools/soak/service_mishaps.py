@@ -234,11 +234,11 @@ class ServiceMishaps:
         self.has_ended = True
         ending = [number for number in ENDING if signal.getsignal(number) is not signal.SIG_IGN]
         os.kill(os.getpid(), self._random.choice(ending))
-        await asyncio.sleep(world.service.settings.shutdown_timeout_ms / 1e3 + 20.0 * world.period_s)
+        await asyncio.sleep(world.service.shutdown.settings.shutdown_timeout_ms / 1e3 + 20.0 * world.period_s)
         if not self._serving_has_ended():
             self.broken = f"the service has not ended; the axis is {world.axis.state}"
         elif world.drive.enabled and not world.drive.faults.stays_enabled:
             self.broken = "the service has ended, and the drive is enabled"
 
     def _serving_has_ended(self) -> bool:
-        return self._world.serving is not None and self._world.serving.done()
+        return self._world.serving.done()

@@ -23,7 +23,6 @@ from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.faults.world import World, operate
-from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.ending_signals import EndingSignals
 from twostage_servo.timing.virtual_clock import run
 
@@ -86,9 +85,8 @@ class ServiceSoak:
         with tempfile.TemporaryDirectory(prefix="soak-") as folder:
             async with operate(self.configuration.load(*overrides)) as world:
                 world.keeps_samples = False
-                control = ControlSocket(Path(folder) / "control.sock", world.service)
+                control = world.loop.control_socket(Path(folder) / "control.sock")
                 await control.start()
-                world.service.publishers.append(lambda tick: control.publish(tick.index))
                 clients = BadClients(control.path, random)
                 try:
                     with EndingSignals() as signals:
@@ -101,10 +99,10 @@ class ServiceSoak:
     async def _operate(self, world: World, clients: BadClients, until: int) -> None:
         self.watch, self.invariants = EncoderWatch(world.axis), Invariants(world.axis)
         mishaps = ServiceMishaps(world, clients, self.watch, self.random, self.without)
-        world.service.publishers.append(lambda _: self._look(world, mishaps))
+        world.loop.listen(lambda _: self._look(world, mishaps))
         while self.ticks < until and not mishaps.has_ended:
             await asyncio.sleep(self.random.expovariate(1.0 / self._pace_s) * 100.0 * world.period_s)
-            if world.serving is not None and world.serving.done() and not mishaps.has_ended:
+            if world.serving.done() and not mishaps.has_ended:
                 raise BrokenInvariantError(f"the service ended: {world.serving.exception()!r}")
             await self._something_happens(world, mishaps)
             if mishaps.broken is not None:
@@ -161,7 +159,7 @@ class ServiceSoak:
         random, axis = self.random, world.axis
         client = _CLIENTS[0] if random.random() < 0.8 else random.choice(_CLIENTS)
         if random.random() < 0.02:
-            world.service.desk.leave(client)
+            world.requests.leave(client)
             return
         if axis.trip is not None:
             if self.watch.active and axis.state is State.TRIPPED and random.random() < 0.6:
@@ -206,7 +204,7 @@ class ServiceSoak:
         """Ask for something, and return whether it was carried out; what is neither that nor refused ends the soak."""
         self.requests += 1
         try:
-            answer = world.service.handle(read_request(request), client)
+            answer = world.requests.handle(read_request(request), client)
         except (Refused, ValidationError):
             self.refusals += 1
             return False

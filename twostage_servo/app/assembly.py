@@ -1,37 +1,23 @@
-"""Puts a service together from a loaded configuration; what does not fit is an error with file, line and key."""
+"""Makes the axes that a configuration describes; what does not fit is an error with file, line and key."""
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import can
 
 from twostage_servo.api.address import own_socket
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.detection import check_detection
 from twostage_servo.axis.messages import DriveTraits
-from twostage_servo.canbus.bus_load import CyclicFrame, bus_load
-from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.canbus.bus_load import CyclicFrame
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.drives.drive import Drive, DriveSide
 from twostage_servo.drives.protocol_error import ProtocolError
 from twostage_servo.drives.registry import drive_type
-from twostage_servo.service.axis_loop import AxisLoop
-from twostage_servo.service.bus_connection import BusConnection
-from twostage_servo.service.servo_service import ServoService
 from twostage_servo.service.settings import ServiceSettings
 
-if TYPE_CHECKING:
-    from twostage_servo.canbus.identifier import Identifier
-
 _RESTART = "has changed: only a restart of the service can follow that"
-
-_ECHOING = frozenset({"udp_multicast"})
-"""Interfaces of python-can on which a sender hears its own frames, whatever it asks for."""
-
 
 _designed = functools.lru_cache(maxsize=8)(design_axis)
 """The same settings give the same design, which nothing changes: a campaign builds hundreds of services from them."""
@@ -126,86 +112,6 @@ def _check_encoder(loaded: LoadedConfig[Config], traits: DriveTraits, tick_s: fl
         )
 
 
-def build_service(
-    machine: Machine | LoadedConfig[Config],
-    bus: BusSettings | None = None,
-    opener: Callable[[BusSettings], can.BusABC] | None = None,
-) -> ServoService:
-    """Return the service that a configuration describes, its buses not yet open.
-
-    Parameters
-    ----------
-    machine
-        The configuration, of several axes or of one.
-    bus
-        A bus to use in place of the configured ones.
-    opener
-        What makes the bus of these settings, in place of python-can: a simulated one.
-
-    Raises
-    ------
-    ConfigError
-        If the parts do not fit together.
-    """
-    if isinstance(machine, LoadedConfig):
-        machine = Machine.of(machine)
-    axis_loops: dict[tuple[str, str | int], list[tuple[LoadedConfig[Config], AxisLoop]]] = {}
-    for loaded in machine.axes:
-        on = bus or loaded.config.bus
-        axis_loop = _build_axis_loop(loaded, machine)
-        axis_loops.setdefault((on.interface, on.channel), []).append((loaded, axis_loop))
-    buses = [_build_bus(members, bus, opener, machine.service.tick_ms / 1e3) for members in axis_loops.values()]
-    return ServoService(machine.service, buses, machine.fault_reaction)
-
-
-def _build_axis_loop(loaded: LoadedConfig[Config], machine: Machine) -> AxisLoop:
-    drive = build_drive(loaded)
-    tick_s = machine.service.tick_ms / 1e3
-    return AxisLoop(build_axis(loaded, drive.traits, tick_s), drive, tick_s, machine.service.recording_s)
-
-
-def _build_bus(
-    members: list[tuple[LoadedConfig[Config], AxisLoop]],
-    bus: BusSettings | None,
-    opener: Callable[[BusSettings], can.BusABC] | None,
-    tick_s: float,
-) -> BusConnection:
-    settings = bus or members[0][0].config.bus
-    owners: dict[int, str] = {}
-    heard: list[Identifier] = []
-    for loaded, axis_loop in members:
-        drive = axis_loop.drive
-        for identifier in drive.decoders:
-            if identifier.identifier in owners:
-                raise loaded.problem(
-                    ("protocol",),
-                    f"{owners[identifier.identifier]} uses identifier {identifier} on this bus as well: give each "
-                    "drive its own (protocol.identifier_offset, or another DBC)",
-                )
-            owners[identifier.identifier] = f"axis {axis_loop.name} ({loaded.source})"
-        # What the drive obeys only somebody else can have sent, where the bus does not bring our own frames back.
-        echoed = drive.obeyed if settings.interface in _ECHOING else ()
-        heard += [identifier for identifier in drive.decoders if identifier not in echoed]
-    _check_load(settings, members, tick_s)
-    link = Link(settings, heard, functools.partial(opener, settings) if opener is not None else None)
-    return BusConnection(link, [axis_loop for _, axis_loop in members], tick_s)
-
-
-def _check_load(settings: BusSettings, members: list[tuple[LoadedConfig[Config], AxisLoop]], tick_s: float) -> None:
-    if settings.bitrate is None:
-        return
-    frames = [frame for loaded, axis_loop in members for frame in cyclic_frames(loaded, axis_loop.drive, tick_s)]
-    load = bus_load(frames, settings.bitrate)
-    if load > 1.0:
-        names = ", ".join(axis_loop.name for _, axis_loop in members)
-        raise members[0][0].problem(
-            ("bus", "bitrate"),
-            f"the bus cannot carry it: the frames of {names} on a tick of {1e3 * tick_s:g} ms take up to "
-            f"{100.0 * load:.3g} % of {settings.bitrate / 1e3:g} kbit/s; raise the bit rate or service.tick_ms, or use "
-            "another bus for some of the axes",
-        )
-
-
 def cyclic_frames(loaded: LoadedConfig[Config], drive: Drive, tick_s: float) -> Sequence[CyclicFrame]:
     """Return the frames that service and drive exchange for ever, on a tick of so many seconds.
 
@@ -213,31 +119,6 @@ def cyclic_frames(loaded: LoadedConfig[Config], drive: Drive, tick_s: float) -> 
     to come three times in its time-out. The index message is left out: it comes in homing alone.
     """
     return drive.cyclic_frames(tick_s, loaded.config.axis.limits.heartbeat_ms / 3e3)
-
-
-def reload_machine(service: ServoService, running: Machine, fresh: Machine) -> None:
-    """Give a service whose axes are disarmed the axes of a configuration that was read again, all of them or none.
-
-    Raises
-    ------
-    ConfigError
-        If the parts do not fit together, or something has changed that only a restart can follow.
-    """
-    traits = traits_of(service)
-    put_axes_in(service, prepare_axes(traits, running, fresh, service.ticks.period_s))
-
-
-def traits_of(service: ServoService) -> dict[str, DriveTraits]:
-    """Return what the axes of a service have to know of their drives, by their names."""
-    return {axis_loop.name: axis_loop.drive.traits for axis_loop in service.axis_loops}
-
-
-def put_axes_in(service: ServoService, axes: Sequence[Axis]) -> None:
-    """Put axes in the place of a disarmed service's own, in whose order they are; they know what those knew."""
-    for axis_loop, axis in zip(service.axis_loops, axes, strict=True):
-        axis.take_over(axis_loop.axis)
-        axis_loop.axis = axis
-    service.allow_for_stops()
 
 
 def prepare_axes(traits: dict[str, DriveTraits], running: Machine, fresh: Machine, tick_s: float) -> list[Axis]:
@@ -255,7 +136,7 @@ def prepare_axes(traits: dict[str, DriveTraits], running: Machine, fresh: Machin
     Raises
     ------
     ConfigError
-        As :func:`reload_machine`.
+        If the parts do not fit together, or something has changed that only a restart can follow.
     """
     before, now = ([loaded.config.axis.name for loaded in machine.axes] for machine in (running, fresh))
     for table in ("service", "realtime"):

@@ -3,7 +3,7 @@
 import asyncio
 from typing import Any
 
-from twostage_servo.app.demonstration import Demonstration
+from twostage_servo.app.demonstration import Demonstration, demonstrate
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.config.files import shipped_configuration
 from twostage_servo.config.loader import load
@@ -47,13 +47,9 @@ def compare_with_frames(example: Example) -> FramesComparison:
 
 
 def _demonstrate(example: Example, *overrides: str) -> Demonstration:
-    demonstration = Demonstration(
-        load(shipped_configuration(f"{example.name}.toml"), list(overrides)),
-        SET_POINT,
-        VELOCITY,
-    )
+    loaded = load(shipped_configuration(f"{example.name}.toml"), list(overrides))
     with asyncio.Runner(loop_factory=VirtualClockLoop) as runner:
-        runner.run(demonstration.run())
+        demonstration = runner.run(demonstrate(loaded, SET_POINT, VELOCITY))
     if demonstration.failure is not None:
         raise RuntimeError(f"{example.name}.toml over frames{[*overrides] or ''}: {demonstration.failure}")
     return demonstration

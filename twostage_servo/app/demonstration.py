@@ -7,15 +7,14 @@ import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from twostage_servo.app.assembly import build_service, drive_side
+from twostage_servo.app.closed_loop import ClosedLoop, closed_loop
 from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import MOVING, State
-from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.loader import Config, LoadedConfig
-from twostage_servo.simulation.drive import SimulatedDrive
-from twostage_servo.simulation.node import DriveNode
+from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.timing.ticks import Tick
 
 _READY_S = 3.0
@@ -54,8 +53,29 @@ class _Move(NamedTuple):
     target: float
 
 
-class Demonstration:
-    """One run: the real service and the real drive node, and the bookkeeping of the true plant.
+class FrameHash:
+    """The hash of all frames that the service sends and receives, each with its tick."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+
+    def observe(self, tick_index: int, direction: str, identifier: int, data: bytes) -> None:
+        """Take a frame in."""
+        self._hash.update(struct.pack("<q?IB", tick_index, direction == "sent", identifier, len(data)) + data)
+
+    def hexdigest(self) -> str:
+        """Return the hash."""
+        return self._hash.hexdigest()
+
+
+async def demonstrate(
+    loaded: LoadedConfig[Config],
+    target: float,
+    velocity: float,
+    progress: Callable[[float, Sample], None] | None = None,
+    realtime: RealtimeSettings | None = None,
+) -> "Demonstration":
+    """Run the whole demo on the running loop.
 
     Parameters
     ----------
@@ -65,11 +85,29 @@ class Demonstration:
         The move, in axis unit and axis unit/s.
     progress
         Called now and then, with the share of the way that lies behind the axis, and the newest sample.
+    realtime
+        Makes the service punctual on its host; None in simulated time.
+
+    Raises
+    ------
+    ConfigError
+        If no service can be built from the configuration.
+    """
+    bus = BusSettings(interface="virtual", channel="twostage-servo-demo").with_frames_of(loaded.config.bus)
+    frames = FrameHash()
+    async with closed_loop(loaded, bus=bus, realtime=realtime, observers=(frames.observe,)) as loop:
+        demonstration = Demonstration(loop, loaded.config, frames, target, velocity, progress)
+        loop.listen(demonstration.on_tick)
+        await demonstration.run()
+    loop.serving.result()  # which raises a defect of the service
+    return demonstration
+
+
+class Demonstration:
+    """One run: what it asks of the axis, and the bookkeeping of the true plant. Made by :func:`demonstrate`.
 
     Attributes
     ----------
-    service
-        The service.
     samples
         Each tick.
     failure
@@ -80,27 +118,24 @@ class Demonstration:
 
     def __init__(
         self,
-        loaded: LoadedConfig[Config],
+        loop: ClosedLoop,
+        config: Config,
+        frames: FrameHash,
         target: float,
         velocity: float,
-        progress: Callable[[float, Sample], None] | None = None,
+        progress: Callable[[float, Sample], None] | None,
     ) -> None:
         self.samples: list[Sample] = []
         self.failure: str | None = None
         self.refused: Refused | None = None
-        self._loaded = loaded
-        self._config = loaded.config
+        self._loop = loop
+        self._config = config
+        self._frames = frames
         self._target = target
         self._velocity = velocity
         self._progress = progress
-        bus = BusSettings(interface="virtual", channel="twostage-servo-demo")
-        self._bus = bus.with_frames_of(loaded.config.bus)
-        self.service = build_service(loaded, self._bus)
-        self._axis_loop = self.service.axis_loop()
-        self.service.publishers.append(self._on_tick)
-        self._axis_loop.bus.observers.append(self._on_frame)
-        self._hash = hashlib.sha256()
-        self._drive: SimulatedDrive | None = None
+        self._axis_loop = loop.axis_loop()
+        self._drive = loop.axes[self._axis_loop.name].drive
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
         self._move: _Move | None = None
 
@@ -110,22 +145,16 @@ class Demonstration:
         return self._axis_loop.drive.traits
 
     async def run(self) -> None:
-        """Run the whole demo on the running loop."""
-        simulation = self._config.simulation
-        side = drive_side(self._loaded, self._axis_loop.drive)
-        self._drive = SimulatedDrive(simulation, side, asyncio.get_running_loop().time())
-        link = Link(self._bus, side.identifiers)
-        node = DriveNode(self._drive, link, simulation.cycle_ms / 1e3)
-        async with asyncio.TaskGroup() as group:
-            group.create_task(node.run())
-            serving = group.create_task(self.service.run())
-            try:
-                await self._operate()
-            except Refused as refused:
-                self.refused = refused
-            self.service.shut_down()
-            await serving
-            node.stop()
+        """Arm, move, and wait until the axis is there; or until the service has ended by itself."""
+        operating = asyncio.ensure_future(self._operate())
+        try:
+            await asyncio.wait((operating, self._loop.serving), return_when=asyncio.FIRST_COMPLETED)
+            if operating.done():
+                operating.result()
+        except Refused as refused:
+            self.refused = refused
+        finally:
+            operating.cancel()
 
     async def _operate(self) -> None:
         axis = self._axis_loop.axis
@@ -137,7 +166,6 @@ class Demonstration:
             self.failure = "the axis did not arm" + (f": {axis.trip.cause}" if axis.trip else "")
             return
         move = axis.move_to(self._target, self._velocity)
-        assert self._drive is not None  # noqa: S101 - run() has made it
         self._move = _Move(self.samples[-1].time_s, self._drive.position, self._target)
         expected_s = abs(self._target - move.start) / self._velocity + _SETTLING_S
         if not await self._until(lambda: move.outcome is not MoveOutcome.MOVING, expected_s):
@@ -157,12 +185,12 @@ class Demonstration:
         self._waiting = (condition, future, loop.time() + longest_s)
         return await future
 
-    def _on_tick(self, tick: Tick) -> None:
-        assert self._drive is not None  # noqa: S101 - run() has made it
-        service, axis, estimate = self.service, self._axis_loop.axis, self._axis_loop.axis.estimate
+    def on_tick(self, tick: Tick) -> None:
+        """Keep a sample, and look whether what is waited for has come."""
+        axis, estimate = self._axis_loop.axis, self._axis_loop.axis.estimate
         self.samples.append(
             Sample(
-                tick.index * service.ticks.period_s, axis.state, axis.changeovers, self._drive.position,
+                tick.index * self._loop.parts.period_s, axis.state, axis.changeovers, self._drive.position,
                 self._drive.velocity, axis.drive.position, estimate.position, estimate.velocity,
                 estimate.disturbance, self._axis_loop.command.effort, axis.speed_reference, axis.following_error,
             )
@@ -174,9 +202,6 @@ class Demonstration:
             if not future.done() and (condition() or tick.deadline_s >= deadline_s):
                 future.set_result(condition())
 
-    def _on_frame(self, tick_index: int, direction: str, identifier: int, data: bytes) -> None:
-        self._hash.update(struct.pack("<q?IB", tick_index, direction == "sent", identifier, len(data)) + data)
-
     def _show(self, sample: Sample) -> None:
         if self._progress is None or self._move is None:
             return
@@ -186,21 +211,21 @@ class Demonstration:
 
     def result(self) -> dict[str, Any]:
         """Return the contract's JSON object."""
-        service, trip = self.service, self._axis_loop.axis.trip
+        statistics, trip = self._loop.parts.statistics, self._axis_loop.axis.trip
         return {
             "target": self._target,
             **self._score(),
             "ticks": {
-                "count": service.statistics.count,
-                "missed": service.statistics.missed,
-                "lateness_us": service.statistics.lateness.summary(),
+                "count": statistics.count,
+                "missed": statistics.missed,
+                "lateness_us": statistics.lateness.summary(),
             },
             "frames": {
                 name: getattr(self._axis_loop.bus.link.counters, name) for name in ("received", "sent", "rejected")
             },
             "trip": None if trip is None else {"code": trip.code, "cause": trip.cause, "next_action": trip.next_action},
             "failure": self.failure,
-            "trace_sha256": self._hash.hexdigest(),
+            "trace_sha256": self._frames.hexdigest(),
         }
 
     def _score(self) -> dict[str, Any]:

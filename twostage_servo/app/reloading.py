@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Final
 
 import structlog
 
-from twostage_servo.app.assembly import put_axes_in, traits_of
 from twostage_servo.app.axes_preparation import Job, Prepared
+from twostage_servo.app.build import Parts, put_axes_in, traits_of
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.service.background_server import Priority
 from twostage_servo.worker_thread import WorkerThread
 
 if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis
-    from twostage_servo.config.machine import Machine
-    from twostage_servo.service.servo_service import ServoService
 
 LONGEST_S: Final = 60.0
 _COMMAND: Final = (sys.executable, "-P", "-c", "from twostage_servo.app.axes_preparation import main; main()")
@@ -36,10 +34,8 @@ class Reloading:
 
     Parameters
     ----------
-    service
-        The service.
-    running
-        The configuration that it runs on.
+    parts
+        The service, with the configuration that it runs on.
     path, overrides
         What is read again; see :func:`~twostage_servo.config.machine.load_machine`.
     carry_out
@@ -48,19 +44,18 @@ class Reloading:
 
     def __init__(
         self,
-        service: "ServoService",
-        running: "Machine",
+        parts: Parts,
         path: Path | None,
         overrides: Sequence[str],
         carry_out: Callable[[Job], Prepared] | None = None,
     ) -> None:
-        self._service = service
+        self._parts = parts
         self._job = Job(
             path,
             tuple(overrides),
-            pickle.dumps(running),
-            traits_of(service),
-            service.ticks.period_s,
+            pickle.dumps(parts.machine),
+            traits_of(parts.axis_loops),
+            parts.period_s,
         )
         self._carry_out = carry_out or by_a_process
         self._thread = WorkerThread("read_configuration")
@@ -83,12 +78,12 @@ class Reloading:
             raise Refused(RefusalCode.CONFIG, prepared.problem)
         axes: list[Axis] = []
         for packed in prepared.axes:
-            async with self._service.background.slot(Priority.REQUEST):
+            async with self._parts.background.slot(Priority.REQUEST):
                 axes.append(pickle.loads(packed))  # noqa: S301 - from the process that was started here
         return lambda: self._put_in_force(prepared, axes)
 
     def _put_in_force(self, prepared: Prepared, axes: "list[Axis]") -> None:
-        put_axes_in(self._service, axes)
+        put_axes_in(self._parts, axes)
         self._job = self._job._replace(running=prepared.machine)
         structlog.get_logger().info("configuration read again", config=prepared.source)
 

@@ -1,7 +1,7 @@
 """Trips: what can latch an axis out of operation, how it reacts, and what the operator should do next."""
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from twostage_servo.axis.state import Event
 
@@ -241,6 +241,24 @@ RULES: dict[TripCode, TripRule] = {
 }
 
 
+class TripFile:
+    """What becomes of the file of one trip.
+
+    Attributes
+    ----------
+    path
+        Where it is, as soon as it is whole; None before.
+    error
+        Why it could not be written, or None.
+    """
+
+    __slots__ = ("error", "path")
+
+    def __init__(self) -> None:
+        self.path: str | None = None
+        self.error: str | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Trip:
     """A latched fault.
@@ -253,11 +271,14 @@ class Trip:
         What happened, with its numbers.
     tick
         Index of the tick at which it was detected.
+    file
+        Its file, which tells what the service saw before it.
     """
 
     code: TripCode
     cause: str
     tick: int
+    file: TripFile = field(default_factory=TripFile, compare=False, repr=False)
 
     @property
     def reaction(self) -> Reaction:

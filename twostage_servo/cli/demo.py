@@ -45,10 +45,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 def _demo(options: argparse.Namespace) -> ExitCode:
     import asyncio
-    import contextlib
 
-    from twostage_servo.app.demonstration import Demonstration, Sample
-    from twostage_servo.app.punctual import punctual
+    from twostage_servo.app.demonstration import Sample, demonstrate
     from twostage_servo.service.log import open_log
     from twostage_servo.timing.ticks import real_time_loop
     from twostage_servo.timing.virtual_clock import VirtualClockLoop
@@ -62,17 +60,15 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     writer = open_log("debug" if level == "debug" else "critical")  # a trip stands in the summary
     progress = Progress(quiet=options.json or options.fast)
     try:
-        with configuration_problems():
-            axis, start = loaded.config.axis, loaded.config.simulation.initial_position
-            velocity = axis.cruise_velocity if options.velocity is None else options.velocity
-            farthest = min(
-                max(start + _CRUISE_S * velocity, axis.limits.position_minimum), axis.limits.position_maximum
-            )
-            show = functools.partial(_show, progress, axis.unit)
-            demo = Demonstration(loaded, farthest if options.to is None else options.to, velocity, show)
-        setup = contextlib.nullcontext() if options.fast else punctual(demo.service, loaded.config.realtime)
-        with asyncio.Runner(loop_factory=VirtualClockLoop if options.fast else real_time_loop) as runner, setup:
-            runner.run(demo.run())
+        axis, start = loaded.config.axis, loaded.config.simulation.initial_position
+        velocity = axis.cruise_velocity if options.velocity is None else options.velocity
+        farthest = min(max(start + _CRUISE_S * velocity, axis.limits.position_minimum), axis.limits.position_maximum)
+        target = farthest if options.to is None else options.to
+        show = functools.partial(_show, progress, axis.unit)
+        realtime = None if options.fast else loaded.config.realtime
+        loop_factory = VirtualClockLoop if options.fast else real_time_loop
+        with asyncio.Runner(loop_factory=loop_factory) as runner, configuration_problems():
+            demo = runner.run(demonstrate(loaded, target, velocity, show, realtime))
     finally:
         progress.end()
         writer.close()

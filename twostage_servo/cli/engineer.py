@@ -54,7 +54,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 
 def _check(options: argparse.Namespace) -> ExitCode:
-    from twostage_servo.app.assembly import build_service
+    from twostage_servo.app.build import build_parts
     from twostage_servo.config.loader import Config, described
     from twostage_servo.config.machine import MachineConfig
     from twostage_servo.service.settings import longest_end_s
@@ -77,11 +77,10 @@ def _check(options: argparse.Namespace) -> ExitCode:
         options.config = Path(options.file)
     machine = load_machine(options)
     with configuration_problems():
-        service = build_service(machine)
-    summaries = [
-        _summary(machine, loaded, axis_loop) for loaded, axis_loop in zip(machine.axes, service.axis_loops, strict=True)
-    ]
-    ends_within_s = longest_end_s(service.settings, (loaded.config.axis.arming_timeout_ms for loaded in machine.axes))
+        parts = build_parts(machine)
+    summaries = [_summary(machine, loaded, parts.axis_loop(loaded.config.axis.name)) for loaded in machine.axes]
+    arming_timeouts_ms = (loaded.config.axis.arming_timeout_ms for loaded in machine.axes)
+    ends_within_s = longest_end_s(parts.shutdown.settings, arming_timeouts_ms)
     if options.json:
         several = {"axes": summaries} if len(summaries) > 1 else summaries[0]
         print_json({"config": machine.source, "valid": True, "longest_end_s": ends_within_s, **several})

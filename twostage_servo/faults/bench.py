@@ -198,8 +198,7 @@ class Bench:
 
     def _start(self, verb: str, name: str, environment: Mapping[str, str]) -> Child:
         path = self._path or self.loaded.folder / "demo.toml"  # what None stands for has to be named on a command line
-        options = [argument for override in self._overrides for argument in ("--set", override)]
-        command = ["child", verb, "--config", str(path), *options, "--json"]
+        command = ["child", verb, str(path), *self._overrides]
         return Child(self._stack, self.folder, name, command, environment)
 
 

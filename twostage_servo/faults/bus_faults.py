@@ -111,7 +111,7 @@ def refuse_to_send(count: int) -> Callable[[World, Random], None]:
             if left <= 0:
                 node.send_error = None
 
-        world.service.publishers.append(after_each_tick)
+        world.loop.listen(after_each_tick)
 
     return inject
 
@@ -147,7 +147,7 @@ def babble(world: World, random: Random) -> None:
                 data = random.randbytes(random.randrange(9))
                 node.inject(can.Message(arbitration_id=random.choice(others), is_extended_id=False, data=data))
 
-    world.service.publishers.append(after_each_tick)
+    world.loop.listen(after_each_tick)
 
 
 def back_up(world: World, _: Random) -> None:
@@ -169,7 +169,7 @@ def back_up(world: World, _: Random) -> None:
                 node.inject(frame)
 
     bring(None)
-    world.service.publishers.append(bring)
+    world.loop.listen(bring)
 
 
 def foreign_command(world: World, _: Random) -> None:
@@ -189,7 +189,7 @@ def foreign_command(world: World, _: Random) -> None:
             node.inject(can.Message(arbitration_id=number, is_extended_id=extended, is_fd=fd, data=data))
 
     command(None)
-    world.service.publishers.append(command)
+    world.loop.listen(command)
 
 
 def malformed(world: World, random: Random) -> None:

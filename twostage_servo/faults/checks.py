@@ -174,7 +174,7 @@ async def only_off_the_switch(world: World) -> str | None:
 async def ended_with_an_error(world: World) -> str | None:
     """Check that the service ended with the defect, so that its process exits with a code other than zero."""
     serving = world.serving
-    if serving is None or not serving.done():
+    if not serving.done():
         return "the service goes on"
     error = serving.exception()
     return None if isinstance(error, RuntimeError) else f"the service ended with {error!r}"

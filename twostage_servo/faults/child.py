@@ -1,17 +1,26 @@
-"""A process of the fault campaign: the command line as always, but that it dies with whoever started it, and can hang.
+"""A process of the fault campaign: a service or its drives, but that it dies with whoever started it, and can hang.
 
-``python -m twostage_servo.faults.child PARENT VERB ...``, with the process id of the parent. On SIGUSR1 the main thread
-spins for ever: the loop of the service hangs as it would in a defect.
+``python -m twostage_servo.faults.child PARENT run|drive CONFIG KEY=VALUE...``, with the process id of the parent. It
+prints what became of it as one JSON object. On SIGUSR1 the main thread spins for ever: the loop of the service hangs as
+it would in a defect.
 """
 
+import argparse
 import ctypes
+import json
 import os
 import resource
 import signal
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from twostage_servo.service.ending_signals import EndingSignals
 
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
+_FAILED = 3
 
 
 def die_with(parent: int) -> None:
@@ -37,14 +46,41 @@ def hang(*_: object) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run a verb; return its exit code."""
-    parent, *verb = arguments
-    die_with(int(parent))
+    """Run a service or its drives; return the exit code of the process."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parent", type=int)
+    parser.add_argument("verb", choices=("run", "drive"))
+    parser.add_argument("config", type=Path)
+    parser.add_argument("overrides", nargs="*")
+    options = parser.parse_args(arguments)
+    die_with(options.parent)
     leave_no_core()
     signal.signal(signal.SIGUSR1, hang)
-    from twostage_servo.cli.main import main as run_verb  # noqa: PLC0415 - takes a while, and the parent may die in it
+    # What follows takes a while, and the parent may die in it.
+    from twostage_servo.service.ending_signals import EndingSignals  # noqa: PLC0415
 
-    return run_verb(verb)
+    with EndingSignals() as signals:
+        code = _run(options, signals)
+        return signals.exit_code or code
+
+
+def _run(options: argparse.Namespace, signals: "EndingSignals") -> int:
+    from twostage_servo.app.serve import serve  # noqa: PLC0415 - likewise
+    from twostage_servo.app.simulate import simulate  # noqa: PLC0415
+    from twostage_servo.config.machine import load_machine  # noqa: PLC0415
+
+    machine = load_machine(options.config, options.overrides)
+    if options.verb == "run":
+        served = serve(machine, signals, options.config, options.overrides)
+        _tell(served.snapshot)
+        return _FAILED if served.not_disabled else 0
+    _tell(simulate(machine, signals)[0])
+    return 0
+
+
+def _tell(result: dict[str, Any]) -> None:
+    """Print what came of it, for the parent."""
+    print(json.dumps(result), flush=True)  # noqa: T201 - to a file, as an object of JSON
 
 
 if __name__ == "__main__":

@@ -27,12 +27,12 @@ _DROPPED: Final = "dropped"
 def leave_too_soon(world: World, _: Random) -> None:
     """Let a client ask for motion while others are served, and go before it is its turn."""
     _count_what_is_carried_out(world)
-    world.service.desk.authority.release(OPERATOR)
+    world.requests.authority.release(OPERATOR)
     world.spawn(_leave_too_soon(world))
 
 
 async def _leave_too_soon(world: World) -> None:
-    async with world.service.background.slot(Priority.REQUEST):
+    async with world.loop.parts.background.slot(Priority.REQUEST):
         async with world.client() as (_, writer):
             writer.write(b'{"op": "move", "by": 1.0}\n{"op": "home", "position": 0.0}\n{"op": "arm"}\n')
         await writer.wait_closed()
@@ -47,7 +47,7 @@ def freeze(world: World, random: Random) -> None:
     its reference, which has nothing to do with requests.
     """
     _count_what_is_carried_out(world)
-    world.service.desk.authority.release(OPERATOR)
+    world.requests.authority.release(OPERATOR)
     if world.axis.state is State.DISARMED:
         world.spawn(_hold_requests_up(world))
     else:
@@ -56,7 +56,7 @@ def freeze(world: World, random: Random) -> None:
 
 
 async def _hold_requests_up(world: World) -> None:
-    async with world.service.background.slot(Priority.REQUEST):
+    async with world.loop.parts.background.slot(Priority.REQUEST):
         await asyncio.sleep(FREEZE_S)
 
 
@@ -131,10 +131,10 @@ def _judge(world: World, wanted: str) -> str | None:
 
 
 def _count_what_is_carried_out(world: World) -> None:
-    carry_out = world.service.desk.carry_out
+    carry_out = world.requests.carry_out
 
-    def counted(request: Any, client: str) -> None:
-        carry_out(request, client)
+    def counted(request: Any, addressed: Any, client: str) -> None:
+        carry_out(request, addressed, client)
         world.refusals.append(None)
 
-    world.service.desk.carry_out = counted  # type: ignore[method-assign]
+    world.requests.carry_out = counted  # type: ignore[method-assign]

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from twostage_servo.app.assembly import build_service
+from twostage_servo.app.build import build_parts
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.faults.cell import Cell, NotApplicable
@@ -100,7 +100,7 @@ class ConfigurationFaults:
 def _refusal(attempt: Callable[[], LoadedConfig[Config]]) -> str:
     """Return the text with which a configuration is refused, or nothing."""
     try:
-        build_service(attempt())
+        build_parts(attempt())
     except ConfigError as error:
         return str(error)
     return ""

@@ -218,4 +218,4 @@ def _once_disarmed(world: World, act: Callable[[], None]) -> None:
             done = True
             act()
 
-    world.service.publishers.append(look)
+    world.loop.listen(look)

@@ -13,6 +13,7 @@ from typing import Any, TextIO, cast
 
 import structlog
 
+from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.faults.world import OPERATOR, World
 from twostage_servo.service.log import open_log
@@ -77,12 +78,12 @@ def defect_of_a_publisher(world: World, _: Random) -> None:
             armed.clear()
             raise RuntimeError("a defect, injected")
 
-    world.service.publishers.append(fail)
+    world.loop.listen(fail)
 
 
 def wall_clock_jumps(world: World, random: Random) -> None:
     """Set the wall clock by an hour, forwards or back."""
-    world.wall_offset_s += random.choice((-3600.0, 3600.0))
+    world.wires.wall_offset_s += random.choice((-3600.0, 3600.0))
 
 
 def full_disk(world: World, _: Random) -> None:
@@ -92,7 +93,7 @@ def full_disk(world: World, _: Random) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
     files = TripFiles(Path(tempfile.gettempdir()) / "nowhere", no_space)
-    world.axis_loop.event_log.trip_files = files
+    world.loop.trip_files.files = files
     _for_ticks(world, 20, lambda: files.write("full", {}, world.axis_loop.recorder.records()))
 
 
@@ -162,7 +163,7 @@ def bad_set_points(world: World, _: Random) -> None:
 
 def second_client(world: World, _: Random) -> None:
     """Let another client command the axis that the operator holds; it has to be refused."""
-    world.service.desk.authority.demand(OPERATOR)
+    world.requests.authority.demand(OPERATOR)
     target = world.drive.position
     for request in ({"op": "move", "position": target}, {"op": "arm"}, {"op": "reset"}, {"op": "jog", "velocity": 1.0}):
         world.refusals.append(world.ask(request, ANOTHER))
@@ -170,15 +171,23 @@ def second_client(world: World, _: Random) -> None:
 
 def client_dies(world: World, _: Random) -> None:
     """End the operator's connection without a word."""
-    world.service.desk.authority.demand(OPERATOR)
-    world.service.desk.leave(OPERATOR)
+    world.requests.authority.demand(OPERATOR)
+    world.requests.leave(OPERATOR)
 
 
 def reload(world: World, _: Random) -> None:
     """Ask the service to read its configuration again."""
-    world.service.desk.reload = lambda: None
-    world.refusals.append(world.ask('{"op": "reload"}'))
-    world.service.desk.authority.release(OPERATOR)
+    world.spawn(_reload(world))
+
+
+async def _reload(world: World) -> None:
+    try:
+        await world.requests.prepare_reload(OPERATOR)
+    except Refused as refused:
+        world.refusals.append(refused.code)
+    else:
+        world.refusals.append(world.ask('{"op": "reload"}'))
+    world.requests.authority.release(OPERATOR)
 
 
 def retarget(world: World, random: Random) -> None:
@@ -200,4 +209,4 @@ def _for_ticks(world: World, count: int, act: Callable[[], Any]) -> None:
             left -= 1
             act()
 
-    world.service.publishers.append(after_each_tick)
+    world.loop.listen(after_each_tick)

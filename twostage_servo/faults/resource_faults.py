@@ -12,10 +12,11 @@ from random import Random
 from typing import TYPE_CHECKING, Any
 
 from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripFile
 from twostage_servo.faults.bus_faults import foreign_command
 from twostage_servo.faults.world import World
 from twostage_servo.service.ending_signals import EndingSignals
-from twostage_servo.telemetry.trip_files import Document, Records, TripFile, TripFiles, write_file
+from twostage_servo.telemetry.trip_files import Document, Records, TripFiles, write_file
 
 if TYPE_CHECKING:
     import concurrent.futures
@@ -66,7 +67,7 @@ class _Caught(EndingSignals):
 async def ended_with_the_drive_disabled(world: World) -> str | None:
     """Check that the service has ended without an error, and has told its drive to disable."""
     serving = world.serving
-    if serving is None or not serving.done():
+    if not serving.done():
         return "the service goes on"
     if error := serving.exception():
         return f"the service ended with {error!r}"
@@ -90,7 +91,7 @@ def _trip_while(
     def inject(world: World, random: Random) -> None:
         files = _Threaded(world.folder / "trips", writer)
         files.start()
-        world.axis_loop.event_log.trip_files = files
+        world.loop.trip_files.files = files
         world.held.callback(files.close)
         world.held.enter_context(exhausted)
         foreign_command(world, random)
@@ -105,13 +106,13 @@ class _Threaded(TripFiles):
         super().__init__(folder, writer)
         self._handed_over: list[concurrent.futures.Future[Path]] = []
 
-    def write(self, name: str, document: Document, records: Records) -> TripFile:
+    def write(self, name: str, document: Document, records: Records, file: TripFile | None = None) -> TripFile:
         """Hand a file over to the thread; :meth:`wait` tells what came of it."""
-        file = TripFile()
+        file = TripFile() if file is None else file
         try:
             self._handed_over.append(self._thread.submit(self._write_file, self.folder, name, document, records))
         except RuntimeError as error:
-            self.fail(error, file)
+            self.fail(name, error, file)
         return file
 
     def wait(self) -> None:
@@ -121,7 +122,7 @@ class _Threaded(TripFiles):
             try:
                 self.latest = future.result(_PATIENCE_S)
             except (OSError, MemoryError) as error:
-                self.fail(error, TripFile())
+                self.fail("", error, TripFile())
 
 
 @contextlib.contextmanager
@@ -185,7 +186,7 @@ async def told_that_no_memory_is_left(world: World) -> str | None:
 
 
 async def _after_the_trip(world: World, expected_error: str) -> str | None:
-    files = world.axis_loop.event_log.trip_files
+    files = world.loop.trip_files.files
     if world.axis.trip is not None and isinstance(files, _Threaded):
         files.wait()
         error = files.error or ""
@@ -225,7 +226,7 @@ async def is_served_again(world: World) -> str | None:
 
 async def _is_served(world: World) -> str | None:
     """Check that the service goes on, and serves a new client."""
-    if world.serving is None or world.serving.done():
+    if world.serving.done():
         return "the service has ended"
     try:
         async with world.client() as (reader, writer):

@@ -255,15 +255,16 @@ class Script:
         return True
 
     async def _arm(self, world: World) -> None:
-        if world.service.is_ending:
+        shutdown = world.service.shutdown
+        if shutdown.is_ending:
             raise Refused(RefusalCode.ENDING, "the service is ending")
-        await world.until(lambda: world.axis.ready_to_arm or world.service.is_ending, max(0.2, 5.0 * world.period_s))
+        await world.until(lambda: world.axis.ready_to_arm or shutdown.is_ending, max(0.2, 5.0 * world.period_s))
         world.axis.arm()
         await world.until(lambda: world.axis.state is State.HOLDING or world.axis.trip is not None, _READY_S)
 
     async def _move(self, world: World) -> None:
         """Move, if the axis can; from here on the travel counts."""
-        if world.axis.trip is None and not world.service.is_ending:
+        if world.axis.trip is None and not world.service.shutdown.is_ending:
             self._begun_s, self._place = world.now_s, world.place()
             world.begun_s, world.fault_place = self._begun_s, self._place
             try:
@@ -278,7 +279,7 @@ class Script:
         axis, serving = world.axis, world.serving
         longest_s = abs(world.target - world.start) / world.velocity + 30.0
         await world.until(
-            lambda: axis.state in {State.HOLDING, State.TRIPPED, State.DISARMED} or serving is None or serving.done(),
+            lambda: axis.state in {State.HOLDING, State.TRIPPED, State.DISARMED} or serving.done(),
             longest_s,
         )
         at_rest = 1e-3 * world.velocity
@@ -322,4 +323,4 @@ def _keep_jogging(world: World) -> None:
             with contextlib.suppress(Refused):
                 axis.jog(velocity)
 
-    world.service.publishers.append(renew)
+    world.loop.listen(renew)

@@ -1,7 +1,6 @@
 """The running service, its drives, its bus and its clients in simulated time, each of which can be made to fail."""
 
 import asyncio
-import functools
 import json
 import math
 import tempfile
@@ -13,25 +12,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from twostage_servo.api.request_reading import parse_request
 from twostage_servo.api.requests import BadRequestError
-from twostage_servo.app.assembly import build_service, drive_side
+from twostage_servo.app.closed_loop import SERVICE, ClosedLoop, HeldTicks, Wires, closed_loop
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import Refused
-from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.faults.companion import Companion
-from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.simulation.bus import Wire
-from twostage_servo.simulation.drive import SimulatedDrive
-from twostage_servo.simulation.node import DriveNode
-from twostage_servo.timing.ticks import Tick, Ticks
+from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
+    from twostage_servo.service.control_socket import ControlSocket
     from twostage_servo.service.log import LogWriter
-    from twostage_servo.service.servo_service import ServoService
 
-SERVICE, DRIVE = "service", "drive"
-"""Names of the two nodes on the wire."""
+__all__ = ["DRIVE", "OPERATOR", "SERVICE", "Sample", "World", "operate"]
+
+DRIVE = "drive"
+"""Name of the node of the drive that has the fault; that of the service is :data:`SERVICE`."""
 
 OPERATOR = "operator"
 """The client who commands the axis."""
@@ -53,37 +50,19 @@ class Sample(NamedTuple):
     state: str
 
 
-class HeldTicks(Ticks):
-    """Ticks that a busy host serves late: `hold` gives the time in s by which the next one is held up."""
-
-    __slots__ = ("hold",)
-
-    def __init__(self, period_s: float) -> None:
-        super().__init__(period_s)
-        self.hold: Callable[[], float] | None = None
-
-    async def __anext__(self) -> Tick:
-        """Wait for the next deadline, and for the host."""
-        held_s = self.hold() if self.hold is not None else 0.0
-        if held_s > 0.0 and self._start_s is not None:
-            loop = asyncio.get_running_loop()
-            await asyncio.sleep(self._start_s + (self._index + 1) * self.period_s - loop.time() + held_s)
-        return await super().__anext__()
-
-
 class World:
     """One axis in operation, with the others of its machine. Made by :func:`operate`.
 
     Attributes
     ----------
-    service, axis_loop, drive, wire, ticks
+    loop
+        All of it.
+    service, requests, axis_loop, drive, node, wire, wires, ticks
         The parts, each with its own ways to fail; axis_loop and drive are those of the axis that has the fault.
     companions, fault_reaction
         The other axes of the machine, and what they do when one trips.
     simulation
         The true drive's settings.
-    wall_offset_s
-        How far the clock that stamps the frames has been set, in s.
     samples, keeps_samples
         The true axis, a sample a tick; and whether they are kept.
     serving
@@ -106,28 +85,23 @@ class World:
         A log that stands in for the usual one, with a reader that stands still until `log_released` is set.
     """
 
-    def __init__(self, machine: Machine, axis_name: str) -> None:
-        loop = asyncio.get_running_loop()
-        self.wall_offset_s = 0.0
-        self.wire = Wire(lambda: loop.time() + self.wall_offset_s)
-        loaded = machine.axis(axis_name)
-        bus = _BUS.with_frames_of(loaded.config.bus)
-        self.service: ServoService = build_service(machine, bus, lambda _: self.wire.attach(SERVICE))
-        self.fault_reaction = machine.fault_reaction
-        self.axis_loop = self.service.axis_loop(axis_name)
-        self.simulation = loaded.config.simulation
-        self.ticks = HeldTicks(self.service.ticks.period_s)
-        self.service.ticks = self.ticks
-        self.service.publishers.append(self._on_tick)
-        self.drive, self.node = self._drive(loaded, DRIVE, bus)
+    def __init__(self, loop: ClosedLoop, wires: Wires, ticks: HeldTicks, axis_name: str) -> None:
+        parts = loop.parts
+        self.loop = loop
+        self.wires = wires
+        self.wire = wires.wire(parts.axis_loop(axis_name).bus.link.settings)
+        self.service, self.requests = loop.service, loop.requests
+        self.fault_reaction = parts.machine.fault_reaction
+        self.axis_loop = parts.axis_loop(axis_name)
+        self.simulation = parts.machine.axis(axis_name).config.simulation
+        self.ticks = ticks
+        self.drive, self.node = loop.axes[axis_name].drive, loop.axes[axis_name].node
         self.companions = [
-            Companion(self.service.axis_loop(one.config.axis.name), *self._drive(one, one.config.axis.name, bus))
-            for one in machine.axes
-            if one is not loaded
+            Companion(one.axis_loop, one.drive, one.node) for name, one in loop.axes.items() if name != axis_name
         ]
         self.samples: list[Sample] = []
         self.keeps_samples = True
-        self.serving: asyncio.Task[None] | None = None
+        self.serving = loop.serving
         self.start = self.target = self.velocity = 0.0
         self.roll_over_in = 0.0
         self.fault_s = self.begun_s = 0.0
@@ -141,17 +115,8 @@ class World:
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.held = ExitStack()
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
-
-    def _drive(self, loaded: LoadedConfig[Config], name: str, bus: BusSettings) -> tuple[SimulatedDrive, DriveNode]:
-        """Return the simulated drive of an axis, at a node of its own."""
-        settings = loaded.config.simulation
-        side = drive_side(loaded, self.service.axis_loop(loaded.config.axis.name).drive)
-        drive = SimulatedDrive(settings, side, asyncio.get_running_loop().time())
-        link = Link(bus, side.identifiers, functools.partial(self.wire.attach, name))
-        at = self.wire.node(name)
-        node = DriveNode(drive, link, settings.cycle_ms / 1e3, arrival_s=lambda: at.next_arrival_s - self.wall_offset_s)
-        at.on_arrival = node.wake
-        return drive, node
+        loop.listen(self._on_tick)
+        self.serving.add_done_callback(self.look_without_ticks)
 
     @property
     def axis(self) -> Axis:
@@ -196,8 +161,7 @@ class World:
     async def client(self) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
         """Connect to the service's control socket, which is served from the first client on."""
         if self._socket is None:
-            self._socket = control = ControlSocket(self.socket_path, self.service)
-            self.service.publishers.append(lambda tick: control.publish(tick.index))
+            self._socket = self.loop.control_socket(self.socket_path)
             await self._socket.start()
         reader, writer = await asyncio.open_unix_connection(str(self._socket.path), limit=1 << 20)
         try:
@@ -229,7 +193,7 @@ class World:
         if self.companions and '"op": "reload"' not in line:
             line = f'{line.rstrip()[:-1]}, "axis": {json.dumps(self.axis_loop.name)}}}'
         try:
-            self.service.handle(parse_request(line.encode()), client)
+            self.requests.handle(parse_request(line.encode()), client)
         except BadRequestError:
             return "bad_request"
         except Refused as refused:
@@ -239,7 +203,7 @@ class World:
     async def start_companions(self, longest_s: float) -> None:
         """Arm the other axes and let them jog."""
         for companion in self.companions:
-            self.service.publishers.append(companion.on_tick)
+            self.loop.listen(companion.on_tick)
         await self.until(lambda: all(companion.ready for companion in self.companions), longest_s)
         for companion in self.companions:
             companion.begin()
@@ -282,7 +246,7 @@ class World:
         future: asyncio.Future[bool] = loop.create_future()
         self._waiting = (condition, future, loop.time() + longest_s)
         # A service that is held up makes no ticks, and one that has ended makes none any more.
-        if self.serving is not None and self.serving.done():
+        if self.serving.done():
             loop.call_soon(self.look_without_ticks)
 
         def give_up() -> None:
@@ -317,6 +281,11 @@ class World:
                 future.set_result(condition())
 
 
+async def _read_nothing() -> Callable[[], None]:
+    """Stand in for a configuration that was read again: it has not changed."""
+    return lambda: None
+
+
 @asynccontextmanager
 async def operate(machine: Machine | LoadedConfig[Config], axis_name: str | None = None) -> AsyncIterator[World]:
     """Run service and drives on the running loop, which has to be in simulated time, until the block ends.
@@ -330,17 +299,20 @@ async def operate(machine: Machine | LoadedConfig[Config], axis_name: str | None
     """
     if isinstance(machine, LoadedConfig):
         machine = Machine.of(machine)
-    world = World(machine, axis_name or machine.axes[0].config.axis.name)
-    nodes = [world.node, *(companion.node for companion in world.companions)]
-    driving = [asyncio.create_task(node.run()) for node in nodes]
-    world.serving = asyncio.create_task(world.service.run())
-    world.serving.add_done_callback(world.look_without_ticks)
-    try:
-        yield world
-    finally:
-        await world.close()
-        world.service.shut_down()
-        await asyncio.gather(world.serving, return_exceptions=True)
-        for node in nodes:
-            node.stop()
-        await asyncio.gather(*driving)
+    name = axis_name or machine.axes[0].config.axis.name
+    bus = _BUS.with_frames_of(machine.axis(name).config.bus)
+    wires, ticks = Wires(), HeldTicks(machine.service.tick_ms / 1e3)
+    async with closed_loop(
+        machine,
+        bus=bus,
+        wires=wires,
+        sparse=True,
+        node_name=lambda axis: DRIVE if axis == name else axis,
+        ticks=lambda _: ticks,
+        prepare_reload=_read_nothing,
+    ) as loop:
+        world = World(loop, wires, ticks, name)
+        try:
+            yield world
+        finally:
+            await world.close()

@@ -1,27 +1,22 @@
-"""An axis as the service runs it: with its drive's frames, its place on a bus, its recording and its reporter."""
+"""An axis as the service runs it: with its drive's frames, its place on a bus, and its recording."""
 
 import asyncio
-from typing import TYPE_CHECKING
+import functools
 
 import can
 import structlog
 
-from twostage_servo.api.status import AxisReport
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import NO_EFFORT, Command
 from twostage_servo.axis.state import ENABLED
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.drives.drive import Decoder, Drive
 from twostage_servo.drives.start_up import StartUp
-from twostage_servo.service.event_log import EventLog
+from twostage_servo.service.bus_connection import BusConnection, Subscriber
 from twostage_servo.service.receiver import Receiver
-from twostage_servo.service.snapshot import report_axis
 from twostage_servo.telemetry.recorder import Record, Recorder
 from twostage_servo.timing.histogram import TimeHistogram
 from twostage_servo.timing.ticks import Tick
-
-if TYPE_CHECKING:
-    from twostage_servo.service.bus_connection import BusConnection
 
 _DROPPED_IN_A_ROW = 2
 """Commands in a row that the bus did not take, at which the axis trips: one is an accident."""
@@ -36,6 +31,8 @@ class AxisLoop:
         The axis.
     drive
         Its drive's frames.
+    bus
+        The bus it is on, to which it subscribes.
     period_s
         Length of a tick in s.
     recording_s
@@ -43,31 +40,25 @@ class AxisLoop:
 
     Attributes
     ----------
-    axis, drive
+    axis, drive, bus
         As given; a configuration that is read again gives another axis.
-    bus
-        The bus it is on.
     receiver
         Takes the drive's frames to the axis.
     recorder
         The last ticks.
-    reporter
-        Tells the log, and keeps the recordings of trips.
     command
         What the axis decided on in this tick.
     feedback_to_command
         How long it took from a feedback's arrival until the command that used it left, where the bus dates its frames.
     """
 
-    bus: "BusConnection"
-
-    def __init__(self, axis: Axis, drive: Drive, period_s: float, recording_s: float) -> None:
+    def __init__(self, axis: Axis, drive: Drive, bus: BusConnection, period_s: float, recording_s: float) -> None:
         self.axis = axis
         self.drive = drive
+        self.bus = bus
         self.start_up = StartUp(drive.start_up, period_s)
         self.receiver = Receiver(drive.traits, drive.feedback_id.identifier, period_s)
         self.recorder = Recorder(max(1, round(recording_s / period_s)))
-        self.event_log = EventLog(self)
         self.command: Command = NO_EFFORT
         self.feedback_to_command = TimeHistogram()
         self._frames: list[can.Message] = []
@@ -75,6 +66,11 @@ class AxisLoop:
         self._start_up_failure = ""
         self._sent_s: float | None = None
         self._dropped_in_a_row = 0
+        receivers = {
+            identifier.identifier: functools.partial(self._take, decode)
+            for identifier, decode in drive.decoders.items()
+        }
+        bus.subscribe(Subscriber(receivers, self._fall_behind, self._lose_bus))
 
     @property
     def name(self) -> str:
@@ -87,12 +83,10 @@ class AxisLoop:
         self.receiver.begin_tick(tick, self._sent_s)
         self._missed = tick.missed
 
-    def take(self, decode: Decoder, message: can.Message) -> None:
-        """Take a frame of the drive, or one that only the drive should have received."""
-        if self.start_up.is_done:
-            self.receiver.take(decode, message, self.axis, self.bus.link)
-        else:
-            self.start_up.take(message)
+    def replace_axis(self, axis: Axis) -> None:
+        """Put a disarmed axis of other settings in the place of the present one; it knows what that knew."""
+        axis.take_over(self.axis)
+        self.axis = axis
 
     def update(self) -> None:
         """Let the axis decide on its effort."""
@@ -121,8 +115,8 @@ class AxisLoop:
         if sent and arrived_s is not None and self._sent_s is not None:
             self.feedback_to_command.add(self._sent_s - arrived_s)
 
-    def publish(self, tick: Tick) -> None:
-        """Record the tick, and tell the log what has changed."""
+    def record(self, tick: Tick) -> None:
+        """Record the tick."""
         axis, estimate = self.axis, self.axis.estimate
         self.recorder.add(
             Record(
@@ -131,9 +125,18 @@ class AxisLoop:
                 axis.speed_reference, axis.following_error,
             )
         )  # fmt: skip
-        self.event_log.report(tick)
 
-    def lose_bus(self, error: str) -> None:
+    def _take(self, decode: Decoder, message: can.Message) -> None:
+        """Take a frame of the drive, or one that only the drive should have received."""
+        if self.start_up.is_done:
+            self.receiver.take(decode, message, self.axis, self.bus.link)
+        else:
+            self.start_up.take(message)
+
+    def _fall_behind(self, reads: int, frames: int) -> None:
+        self.axis.drive.notice_backlog(reads, frames)
+
+    def _lose_bus(self, error: str) -> None:
         """Trip, and know nothing of the drive any more."""
         self.axis.raise_trip(TripCode.BUS_FAILED, error)
         self.axis.drive.forget()
@@ -155,10 +158,6 @@ class AxisLoop:
                 text, axis=self.name, code=TripCode.DRIVE_NOT_DISABLED, told_ms=watch.told_ms, moved=watch.moved
             )
         return watch.seen_enabled
-
-    def report(self) -> AxisReport:
-        """Return the state of the axis and its bus."""
-        return report_axis(self)
 
     def _prepared(self, command: Command) -> list[can.Message]:
         prepare = self.bus.link.prepare

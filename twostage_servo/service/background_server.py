@@ -57,13 +57,15 @@ class BackgroundServer:
 
     Attributes
     ----------
+    period_s
+        As given.
     slice_s
         How long a turn that could go on for long should take at most, s.
     """
 
     def __init__(self, period_s: float) -> None:
         self.slice_s = _SLICE_SHARE * period_s
-        self._period_s = period_s
+        self.period_s = period_s
         self._largest_s = _LONGEST_SHARE * period_s
         self._longest_s = 0.0
         self._until_s = 0.0
@@ -78,9 +80,9 @@ class BackgroundServer:
     def open(self, until_s: float) -> None:
         """Begin to hand out turns after a tick; the loop has to be free from `until_s` on, on its clock in s."""
         self._until_s = until_s - self._longest_s
-        self._left_s = _SHARE * self._period_s
-        self._left_of_reading_s = _SHARE_OF_READING * self._period_s
-        self._left_of_connections_s = _SHARE_OF_CONNECTIONS * self._period_s
+        self._left_s = _SHARE * self.period_s
+        self._left_of_reading_s = _SHARE_OF_READING * self.period_s
+        self._left_of_connections_s = _SHARE_OF_CONNECTIONS * self.period_s
         self._owed = set(Priority)
         if self._given_s is not None:  # the tick itself is nobody's turn
             self._given_s = asyncio.get_running_loop().time()

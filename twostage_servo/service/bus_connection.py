@@ -1,19 +1,15 @@
-"""A bus as the service runs it: opened again after it was lost, and read for all axes on it."""
+"""A bus as the service runs it: opened again after it was lost, and read for all who share it."""
 
 import asyncio
 import errno
-import functools
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final, NamedTuple
 
 import can
 import structlog
 
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.timing.ticks import Tick
-
-if TYPE_CHECKING:
-    from twostage_servo.service.axis_loop import AxisLoop
 
 _MOST_MISSED_MADE_UP_FOR: Final = 10
 """Missed ticks whose frames are read in the tick after them. Their reading takes a tenth of the time that was missed on
@@ -22,42 +18,53 @@ a bus that is full; what is left then does not count as fresh."""
 _LONGEST_CLOSING_S: Final = 1.0
 
 FrameObserver = Callable[[int, str, int, bytes], None]
+"""Called with tick index, ``sent`` or ``received``, identifier and data of each frame; must not wait."""
+
+
+class Subscriber(NamedTuple):
+    """What somebody who shares a bus is called for.
+
+    Attributes
+    ----------
+    receivers
+        Called with each frame, by its identifier.
+    fall_behind
+        Called where a read has left frames on the bus: with the number of such reads in a row, and of frames read.
+    lose
+        Called when the bus is lost, with the reason.
+    """
+
+    receivers: Mapping[int, Callable[[can.Message], None]]
+    fall_behind: Callable[[int, int], None]
+    lose: Callable[[str], None]
 
 
 class BusConnection:
-    """One bus with the axes on it.
+    """One bus, for all who subscribe to it.
 
     Parameters
     ----------
     link
         The bus, not yet open.
-    axis_loops
-        The axes on it.
     period_s
         Length of a tick in s.
+    observers
+        Are shown each frame.
 
     Attributes
     ----------
     link
         As given.
-    axis_loops
-        As given.
     error
         Why the bus is not open; None while it is.
-    observers
-        Called with tick index, ``sent`` or ``received``, identifier and data of each frame.
     """
 
-    def __init__(self, link: Link, axis_loops: "list[AxisLoop]", period_s: float) -> None:
+    def __init__(self, link: Link, period_s: float, observers: Sequence[FrameObserver] = ()) -> None:
         self.link = link
-        self.axis_loops = axis_loops
         self.error: str | None = "not opened yet"
-        self.observers: list[FrameObserver] = []
-        self._takers = {
-            identifier.identifier: functools.partial(axis_loop.take, decode)
-            for axis_loop in axis_loops
-            for identifier, decode in axis_loop.drive.decoders.items()
-        }
+        self._observers = tuple(observers)
+        self._subscribers: list[Subscriber] = []
+        self._receivers: dict[int, Callable[[can.Message], None]] = {}
         self._opening: asyncio.Task[None] | None = None
         self._rejected = 0
         self._overflowed = self._overruns = 0
@@ -69,8 +76,11 @@ class BusConnection:
         self._next_report = 0
         self._controller = "active"
         self._log = structlog.get_logger().bind(bus=link.settings.channel)
-        for axis_loop in axis_loops:
-            axis_loop.bus = self
+
+    def subscribe(self, subscriber: Subscriber) -> None:
+        """Call somebody for the frames that are for him, and for what becomes of the bus."""
+        self._subscribers.append(subscriber)
+        self._receivers |= subscriber.receivers
 
     def start(self) -> None:
         """Begin to open the bus."""
@@ -86,7 +96,7 @@ class BusConnection:
             self._log.warning("the bus does not close", waited_s=_LONGEST_CLOSING_S)
 
     def read(self, tick: Tick) -> None:
-        """Take what has arrived to the axes that it is for.
+        """Hand what has arrived to those who have subscribed to it.
 
         After missed ticks as much more is read as they would have; up to a bound, since that delays this one.
         """
@@ -100,12 +110,12 @@ class BusConnection:
             return
         self._reads_behind = self._reads_behind + 1 if self.link.is_behind else 0
         if self._reads_behind:
-            for axis_loop in self.axis_loops:
-                axis_loop.axis.drive.notice_backlog(self._reads_behind, most)
+            for subscriber in self._subscribers:
+                subscriber.fall_behind(self._reads_behind, most)
         for message in messages:
-            for observe in self.observers:
+            for observe in self._observers:
                 observe(tick.index, "received", message.arbitration_id, bytes(message.data))
-            self._takers[message.arbitration_id](message)
+            self._receivers[message.arbitration_id](message)
 
     def send(self, tick_index: int, message: can.Message) -> bool | None:
         """Send a frame of :meth:`Link.prepare`; return whether the bus has taken it, or None if the bus is gone."""
@@ -117,11 +127,11 @@ class BusConnection:
             self._lose(error)
             return None
         if sent:
-            for observe in self.observers:
+            for observe in self._observers:
                 observe(tick_index, "sent", message.arbitration_id, bytes(message.data))
         return sent
 
-    def publish(self, tick: Tick) -> None:
+    def look_after(self, tick: Tick) -> None:
         """Tell the log what has changed; once a second, look after the bus and tell what was rejected or lost."""
         link = self.link
         if link.controller_state != self._controller:
@@ -130,9 +140,9 @@ class BusConnection:
             self._log.warning("bus controller", tick=tick.index, state=self._controller, error_counters=counters)
         if tick.index >= self._next_report:  # a remainder of the index could be one that is always missed
             self._next_report = tick.index + self._ticks_a_report
-            self._look_after_bus(tick)
+            self._check(tick)
 
-    def _look_after_bus(self, tick: Tick) -> None:
+    def _check(self, tick: Tick) -> None:
         link = self.link
         if self.error is None:
             try:
@@ -166,8 +176,8 @@ class BusConnection:
     def _lose(self, error: LinkError) -> None:
         self.error = str(error)
         self._log.error("the bus failed", error=self.error)
-        for axis_loop in self.axis_loops:
-            axis_loop.lose_bus(self.error)
+        for subscriber in self._subscribers:
+            subscriber.lose(self.error)
         self._lacked_carrier = False
         self.link.let_go()
         self.start()

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from twostage_servo.api.requests import Request
+    from twostage_servo.service.axis_loop import AxisLoop
     from twostage_servo.service.request_age import RequestAge
 
 _CREDENTIALS: Final = struct.Struct("3i")  # ucred of unix(7): process, user, group
@@ -82,7 +83,7 @@ class Connection:
         self.ended = self.closed = self.busy = False
         self.every = self.due = self.unsent = 0
         self.read_s = -math.inf
-        self.axis: str | None = None
+        self.axis: AxisLoop | None = None
         self.urgent: Request | None = None
         self.task: asyncio.Task[None] | None = None
         self.peer = ""

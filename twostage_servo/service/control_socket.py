@@ -13,7 +13,7 @@ import itertools
 import math
 import socket
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -33,14 +33,14 @@ from twostage_servo.service.background_server import Priority, priority_of
 from twostage_servo.service.connection import Connection, wake
 from twostage_servo.service.connections import MOST, Connections
 from twostage_servo.service.newcomers import Newcomers
-from twostage_servo.service.request_age import RequestAge, no_time_asleep
+from twostage_servo.service.request_age import RequestAge
 from twostage_servo.service.request_handler import RequestHandler
 from twostage_servo.service.socket_file import SocketFile, SocketInUseError
-from twostage_servo.service.status_lines import StatusLines
 from twostage_servo.service.watchers import Watchers
+from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
-    from twostage_servo.service.servo_service import ServoService
+    from twostage_servo.service.background_server import BackgroundServer
 
 __all__ = ["ControlSocket", "SocketInUseError"]
 
@@ -80,25 +80,35 @@ class ControlSocket:
     ----------
     path
         Path of the socket.
-    service
-        What the requests are for; it says when they may be served.
-    asleep_s
-        Tells how long the machine has slept, s, for the age of requests.
+    requests
+        Carries out what is asked.
+    background
+        Says when that may be done.
+    names
+        Names of the axes, for the length of the longest request.
+    fail
+        Called with a defect that has to end the service.
     """
 
-    def __init__(self, path: Path, service: "ServoService", asleep_s: Callable[[], float] = no_time_asleep) -> None:
+    def __init__(
+        self,
+        path: Path,
+        requests: RequestHandler,
+        background: "BackgroundServer",
+        names: Iterable[str],
+        fail: Callable[[Exception], None],
+    ) -> None:
         self.path = path
-        self._service = service
-        self._background = service.background
-        self._age = RequestAge(service.ticks.period_s, asleep_s)
-        self._status = StatusLines(service)
-        self._handler = RequestHandler(service, self._status, self._age)
+        self._handler = requests
+        self._background = background
+        self._fail = fail
+        self._age = requests.age
         self._connections = Connections()
         self._newcomers: Newcomers | None = None
         self._turned_away = 0
         self._next_report_s = -math.inf
-        self._watchers = Watchers(self._connections, self._status, service.background)
-        self._longest = longest_line(axis_loop.name for axis_loop in service.axis_loops)
+        self._watchers = Watchers(self._connections, requests.status, background)
+        self._longest = longest_line(names)
         self._numbers = itertools.count(1)
         self._serving: set[asyncio.Task[None]] = set()
         self._file = SocketFile(path, _BACKLOG)
@@ -145,11 +155,11 @@ class ControlSocket:
         task.add_done_callback(lambda _: listener.close())  # also where it has not even begun
         return task
 
-    def publish(self, tick: int) -> None:
+    def publish(self, tick: Tick) -> None:
         """Take notice of a tick, and of the watchers for which a snapshot is due; it is made between the ticks."""
         self._age.tick()
-        self._status.forget()
-        self._watchers.publish(tick)
+        self._handler.status.forget()
+        self._watchers.publish(tick.index)
 
     # Who comes, and who goes -----------------------------------------------------------------------------------------
 
@@ -299,7 +309,7 @@ class ControlSocket:
         """Return the connection that matters least, and has not asked for anything just now either."""
         connection = None
         for _ in range(_LOOKS):
-            connection = self._connections.the_one_to_go(self._service.desk.authority.holder)
+            connection = self._connections.the_one_to_go(self._handler.authority.holder)
             if connection is None or connection.busy or connection.ended or connection.urgent is not None:
                 break
             if not connection.has_line:
@@ -329,7 +339,7 @@ class ControlSocket:
     def _end(self, connection: Connection) -> None:
         if connection in self._connections:
             self._connections.discard(connection)
-            self._service.desk.leave(connection.peer)
+            self._handler.leave(connection.peer)
         connection.close()
 
     # What they ask ---------------------------------------------------------------------------------------------------
@@ -340,7 +350,7 @@ class ControlSocket:
             while request is not None or (request := await self._next_request(connection)) is not None:
                 await self._answer(connection, request)
                 request = None
-            self._service.desk.leave(connection.peer)
+            self._handler.leave(connection.peer)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_LINGER_S):
                     await connection.taken()
@@ -372,7 +382,7 @@ class ControlSocket:
         It may be the operator, who wants to stop.
         """
         silent_s = asyncio.get_running_loop().time() - connection.read_s
-        return Priority.CONNECTION if silent_s >= _SILENT_TICKS * self._service.ticks.period_s else Priority.READING
+        return Priority.CONNECTION if silent_s >= _SILENT_TICKS * self._background.period_s else Priority.READING
 
     def _read(self, connection: Connection) -> Request | None:
         """Read once; return a request if there is one, and answer what is none."""
@@ -420,9 +430,9 @@ class ControlSocket:
                     return  # it has been told that its connection ends, and must not set an axis moving after that
                 if pieces is None:
                     connection.urgent = None
-                    pieces, done = self._handler.answer(request, connection)
+                    pieces, done, axis_loop = self._handler.answer(request, connection)
                     if done and isinstance(request, WatchRequest):
-                        self._watchers.begin(connection, request.every, request.axis)
+                        self._watchers.begin(connection, request.every, axis_loop)
                 is_more = self._send_some(connection, pieces)
             await connection.taken()
             connection.look()
@@ -448,7 +458,7 @@ class ControlSocket:
         try:
             await self._watchers.run()
         except Exception as error:  # noqa: BLE001 - the service ends with it
-            self._service.fail(error)
+            self._fail(error)
 
 
 class _Door:

@@ -1,33 +1,45 @@
 """What becomes of a request: it is carried out, refused, or dropped where nobody waits for it any more."""
 
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 import structlog
 
 from twostage_servo.api.requests import (
     READING,
+    AcquireRequest,
+    ArmRequest,
     AxisRequest,
     DisarmRequest,
+    HomeRequest,
     JogRequest,
+    MoveRequest,
+    PreemptRequest,
     RecordingRequest,
     ReleaseRequest,
     ReloadRequest,
     Request,
+    ResetRequest,
     StopRequest,
 )
 from twostage_servo.axis.refusals import RefusalCode, Refused
+from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
 from twostage_servo.service import answers
+from twostage_servo.service.authority import Authority
+from twostage_servo.service.axis_commands import AxisCommands
+from twostage_servo.service.axis_loop import AxisLoop
+from twostage_servo.service.reload import Reload
+from twostage_servo.service.request_age import RequestAge
+from twostage_servo.service.shutdown import Shutdown
+from twostage_servo.service.status_lines import StatusLines
 from twostage_servo.telemetry.recorder import Record
 
-if TYPE_CHECKING:
-    from twostage_servo.service.request_age import RequestAge
-    from twostage_servo.service.servo_service import ServoService
-    from twostage_servo.service.status_lines import StatusLines
-
+_IN_MOTION: Final = MOVING | BRAKING | {State.JOGGING, State.HOMING}
 _NEVER_TOO_LATE: Final = (StopRequest, DisarmRequest, ReleaseRequest)
 """Requests that set nothing in motion: they are carried out however old, and whoever has gone."""
 _OK: Final = b'{"ok":true,'
+
+HolderLost = Literal["continue", "stop", "disarm"]
 
 
 class Asker(Protocol):
@@ -47,30 +59,70 @@ class Asker(Protocol):
 
 
 class Reply(NamedTuple):
-    """What becomes of a request: its answer, made piece by piece, and whether it was carried out."""
+    """What becomes of a request: its answer, made piece by piece, and whether it was carried out.
+
+    Attributes
+    ----------
+    pieces
+        The answer; a request that was dropped has none.
+    done
+        Whether it was carried out.
+    axis
+        The axis that it was for; None for all of several.
+    """
 
     pieces: Iterator[bytes]
     done: bool
+    axis: AxisLoop | None = None
 
 
 class RequestHandler:
-    """Carries out requests of clients and makes the lines that answer them.
+    """Carries out requests of clients, one at a time, and makes the lines that answer them.
 
     Parameters
     ----------
-    service
-        What the requests are for.
+    axis_loops
+        The axes of the service.
     status
         Makes the lines that tell of its state.
+    authority
+        Knows who commands.
+    shutdown
+        Ends the service: while it does only reading is possible, and a defect begins it.
+    reload
+        Reads the configuration again.
     age
         Tells how old requests are.
+    holder_lost
+        What becomes of a move when the connection ends that commanded it and has not released its authority.
+
+    Attributes
+    ----------
+    authority, status, age
+        As given.
     """
 
-    def __init__(self, service: "ServoService", status: "StatusLines", age: "RequestAge") -> None:
-        self._service = service
-        self._status = status
-        self._age = age
+    def __init__(
+        self,
+        axis_loops: Sequence[AxisLoop],
+        status: StatusLines,
+        authority: Authority,
+        shutdown: Shutdown,
+        reload: Reload,
+        age: RequestAge,
+        holder_lost: HolderLost,
+    ) -> None:
+        self.authority = authority
+        self.status = status
+        self.age = age
+        self._axis_loops = axis_loops
+        self._commands = AxisCommands(axis_loops)
+        self._shutdown = shutdown
+        self._reload = reload
+        self._holder_lost: HolderLost = holder_lost
         self._log = structlog.get_logger().bind(room="control_socket")
+
+    # For a client on the socket --------------------------------------------------------------------------------------
 
     def answer(self, request: Request, asker: Asker) -> Reply:
         """Carry out a request, and return its answer; one that was dropped has none."""
@@ -78,9 +130,9 @@ class RequestHandler:
             self._log.warning("request dropped, its client has gone", peer=asker.peer, op=request.op)
             return Reply(iter(()), done=False)
         try:
-            if not isinstance(request, READING):
-                self._carry_out(request, asker)
-            return Reply(self._watched_over(self._told(request)), done=True)
+            addressed = self._addressed(request) if isinstance(request, READING) else self._accept(request, asker)
+            axis_loop = addressed[0] if len(addressed) == 1 else None
+            return Reply(self._watched_over(self._told(request, addressed, axis_loop)), True, axis_loop)
         except Refused as error:
             return self._refusal(request, asker, error)
 
@@ -90,19 +142,81 @@ class RequestHandler:
             return None
         try:
             self._check_age(request, asker)
-            await self._service.desk.prepare_reload(asker.peer)
+            await self.prepare_reload(asker.peer)
         except Refused as error:
             return self._refusal(request, asker, error)
         except Exception as error:  # noqa: BLE001 - a defect: the service ends with it
-            return self._refusal(request, asker, self._service.desk.defect(error))
+            return self._refusal(request, asker, self._defect(error))
         return None
 
-    def _refusal(self, request: Request, asker: Asker, error: Refused) -> Reply:
-        self._log.warning("refused", peer=asker.peer, op=request.op, code=error.code, reason=str(error))
-        return Reply(iter((answers.failure(error.code, str(error)),)), done=False)
+    def leave(self, client: str) -> None:
+        """Handle a disconnect: release the client's authority, and apply what `holder_lost` says to its moves."""
+        if not self.authority.release(client):
+            return
+        policy = self._holder_lost
+        for axis_loop in self._axis_loops:
+            axis = axis_loop.axis
+            if axis.state is State.JOGGING:
+                axis.stop(f"{client} has gone, who held the jog")
+            elif axis.state in COMMANDED and policy != "continue":
+                log, event = structlog.get_logger(), "the lease's holder has gone"
+                log.warning(event, axis=axis_loop.name, client=client, policy=policy)
+                reason = f"{client} has gone, who commanded the move (service.holder_lost is {policy})"
+                if policy == "stop":
+                    axis.stop(reason)
+                else:
+                    axis.disarm(reason)
 
-    def _carry_out(self, request: Request, asker: Asker) -> None:
-        if not (isinstance(request, ReloadRequest) and self._service.desk.is_prepared(asker.peer)):
+    # For somebody in this process ------------------------------------------------------------------------------------
+
+    def handle(self, request: Request, client: str = "this process") -> dict[str, Any]:
+        """Carry out a request at once, and return what a client would be told, ready for JSON.
+
+        Parameters
+        ----------
+        request
+            What is asked.
+        client
+            Name of the connection that asks; the same for all of its requests.
+
+        Raises
+        ------
+        Refused
+            If it is not carried out.
+        """
+        try:
+            addressed = self._addressed(request)
+            if not isinstance(request, READING):
+                self.carry_out(request, addressed, client)
+            if isinstance(request, RecordingRequest):
+                return {"fields": Record._fields, "records": self._commands.only(addressed).recorder.records()}
+            return self.status.report.snapshot(addressed)
+        except Refused:
+            raise
+        except Exception as error:
+            raise self._defect(error) from error
+
+    async def prepare_reload(self, client: str) -> None:
+        """Do ahead of a client's `reload` what takes longer than a tick; the request itself is to follow.
+
+        Raises
+        ------
+        Refused
+            If it would be refused, another one is under way, or the configuration cannot be used.
+        """
+        self._check_not_ending()
+        with self.authority.demanded(client):
+            await self._reload.prepare(client)
+
+    # One way ---------------------------------------------------------------------------------------------------------
+
+    def _addressed(self, request: Request) -> Sequence[AxisLoop]:
+        """Return the axes that a request is for; here, and only here, its axis' name is looked up."""
+        return self._commands.addressed(request.axis if isinstance(request, AxisRequest) else None)
+
+    def _accept(self, request: Request, asker: Asker) -> Sequence[AxisLoop]:
+        """Carry out a request that has come in time; return the axes that it was for."""
+        if not (isinstance(request, ReloadRequest) and self._reload.is_prepared(asker.peer)):
             self._check_age(request, asker)
         if not isinstance(request, JogRequest):  # a jog is asked for several times a second
             self._log.info("request", peer=asker.peer, **request.to_json())
@@ -110,28 +224,86 @@ class RequestHandler:
             self._log.warning("an old name", peer=asker.peer, op=request.op, use=request.renamed_to)
         before = self._stands()
         try:
-            self._service.desk.carry_out(request, asker.peer)
+            addressed = self._addressed(request)
+            self.carry_out(request, addressed, asker.peer)
+        except Refused:
+            raise
+        except Exception as error:
+            raise self._defect(error) from error
         finally:  # a flood of `stop` makes no report after the first
             if not isinstance(request, StopRequest | DisarmRequest) or self._stands() != before:
-                self._status.forget()
+                self.status.forget()
+        return addressed
 
     def _check_age(self, request: Request, asker: Asker) -> None:
-        age_s = self._age.now_s() - asker.arrived_after_s
-        if age_s > self._age.longest_s and not isinstance(request, _NEVER_TOO_LATE):
+        age_s = self.age.now_s() - asker.arrived_after_s
+        if age_s > self.age.longest_s and not isinstance(request, _NEVER_TOO_LATE):
             raise Refused(
                 RefusalCode.EXPIRED,
                 f"this {request.op} may have waited for {age_s:.1f} s before its turn came, and "
-                f"{self._age.longest_s:g} s are the most: look at the axis, and ask again.",
+                f"{self.age.longest_s:g} s are the most: look at the axis, and ask again.",
             )
 
-    def _told(self, request: Request) -> Iterator[bytes]:
-        service = self._service
-        name = request.axis if isinstance(request, AxisRequest) else None
-        if name is not None:
-            service.desk.axis_loop(name)  # which refuses one that there is not
+    def _check_not_ending(self) -> None:
+        if self._shutdown.is_ending:
+            raise Refused(RefusalCode.ENDING, "the service is ending: nothing but reading is possible any more.")
+
+    def carry_out(self, request: Request, addressed: Sequence[AxisLoop], client: str) -> None:
+        """Carry out a request of a client that changes something, for the axes that it is for.
+
+        Raises
+        ------
+        Refused
+            If it is not carried out.
+        """
+        self._check_not_ending()
+        match request:
+            case StopRequest(quick=quick):  # whoever commands, everybody may bring the axes to rest
+                others = self.authority.holder not in {None, client}
+                self._commands.stop(addressed, quick=quick, bar_jog=others)
+            case DisarmRequest():
+                self._commands.disarm(addressed)
+            case ReleaseRequest():
+                self.authority.release(client)
+            case AcquireRequest():
+                self.authority.demand(client)
+            case PreemptRequest():
+                at_rest = all(axis_loop.axis.state not in _IN_MOTION for axis_loop in self._axis_loops)
+                self.authority.take(client, at_rest=at_rest)
+            case _:
+                with self.authority.demanded(client):
+                    self._carry_out_for_holder(request, addressed, client)
+
+    def _carry_out_for_holder(self, request: Request, addressed: Sequence[AxisLoop], client: str) -> None:
+        match request:
+            case ArmRequest():
+                self._commands.arm(addressed)
+            case ResetRequest():
+                self._commands.reset(addressed)
+            case MoveRequest():
+                self._commands.move(addressed, request)
+            case JogRequest(velocity=velocity):
+                self._commands.jog(addressed, velocity)
+            case HomeRequest(position=position):
+                self._commands.home(addressed, position)
+            case ReloadRequest():
+                self._reload.carry_out(client)
+
+    # What is told ----------------------------------------------------------------------------------------------------
+
+    def _told(self, request: Request, addressed: Sequence[AxisLoop], axis_loop: AxisLoop | None) -> Iterator[bytes]:
         if isinstance(request, RecordingRequest):
-            return answers.recording(Record._fields, service.desk.axis_loop(name).recorder.records())
-        return self._status.line(name, _OK)
+            return answers.recording(Record._fields, self._commands.only(addressed).recorder.records())
+        return self.status.line(axis_loop, _OK)
+
+    def _refusal(self, request: Request, asker: Asker, error: Refused) -> Reply:
+        self._log.warning("refused", peer=asker.peer, op=request.op, code=error.code, reason=str(error))
+        return Reply(iter((answers.failure(error.code, str(error)),)), done=False)
+
+    def _defect(self, error: Exception) -> Refused:
+        """Let the service end with a defect that a request has shown; return what its client is told."""
+        self._shutdown.fail(error)
+        return Refused(RefusalCode.INTERNAL_ERROR, f"{type(error).__name__}: {error}; the service is stopping")
 
     def _watched_over(self, pieces: Iterator[bytes]) -> Iterator[bytes]:
         """Yield the same; a defect that shows in their making ends the service, as any other does."""
@@ -141,14 +313,14 @@ class RequestHandler:
                 yield piece
                 begun = True
         except Exception as error:
-            refused = self._service.desk.defect(error)
+            refused = self._defect(error)
             if begun:  # half a line has been sent: only the end of the connection says that no more will come
                 raise
             yield answers.failure(refused.code, str(refused))
 
     def _stands(self) -> list[tuple[Any, ...]]:
         """Return what a stop changes of each axis, if it changes anything."""
-        axes = [axis_loop.axis for axis_loop in self._service.axis_loops]
+        axes = [axis_loop.axis for axis_loop in self._axis_loops]
         return [
             (axis.state, axis.move, None if axis.move is None else axis.move.outcome, axis.trip, axis.referenced)
             for axis in axes

@@ -1,9 +1,11 @@
 """The state of the service and of an axis, as `status` and `watch` show it."""
 
 import os
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from twostage_servo import __version__
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.status import (
     AxisReport,
     AxisStatus,
@@ -13,7 +15,9 @@ from twostage_servo.api.status import (
     InputStatus,
     LeaseStatus,
     MoveStatus,
+    RealtimeStatus,
     ServiceStatus,
+    Status,
     Times,
     TripStatus,
     Trouble,
@@ -24,20 +28,63 @@ from twostage_servo.timing.histogram import TimeHistogram
 
 if TYPE_CHECKING:
     from twostage_servo.axis.moves import Move
+    from twostage_servo.axis.trips import Trip
+    from twostage_servo.service.authority import Authority
     from twostage_servo.service.axis_loop import AxisLoop
-    from twostage_servo.service.servo_service import ServoService
+    from twostage_servo.service.statistics import TickStatistics
 
 
-def report_service(service: "ServoService") -> ServiceStatus:
-    """Return what all axes have in common."""
-    return ServiceStatus(
-        version=__version__,
-        pid=os.getpid(),
-        uptime_s=round(service.uptime_s, 3),
-        lease=LeaseStatus(holder=service.desk.authority.holder),
-        ticks=service.statistics.summary(),
-        realtime=None if service.host is None else service.host(),
-    )
+class StatusReport:
+    """Tells how a service is.
+
+    Parameters
+    ----------
+    axis_loops, statistics, authority
+        What is reported.
+    host
+        Tells how punctual the host lets the service be; None where it runs in simulated time.
+
+    Attributes
+    ----------
+    axis_loops
+        As given.
+    """
+
+    def __init__(
+        self,
+        axis_loops: "Sequence[AxisLoop]",
+        statistics: "TickStatistics",
+        authority: "Authority",
+        host: Callable[[], RealtimeStatus] | None = None,
+    ) -> None:
+        self.axis_loops = axis_loops
+        self._statistics = statistics
+        self._authority = authority
+        self._host = host
+
+    def common(self) -> ServiceStatus:
+        """Return what all axes have in common."""
+        return ServiceStatus(
+            version=__version__,
+            pid=os.getpid(),
+            uptime_s=round(self._statistics.uptime_s, 3),
+            lease=LeaseStatus(holder=self._authority.holder),
+            ticks=self._statistics.summary(),
+            realtime=None if self._host is None else self._host(),
+        )
+
+    def status(self, axis_loops: "Sequence[AxisLoop] | None" = None) -> Status:
+        """Return the state of the service and of some axes, or of all."""
+        axis_loops = self.axis_loops if axis_loops is None else axis_loops
+        return Status(self.common(), {axis_loop.name: report_axis(axis_loop) for axis_loop in axis_loops})
+
+    def snapshot(self, axis_loops: "Sequence[AxisLoop] | None" = None) -> JsonObject:
+        """Return the same ready for JSON; see :meth:`Status.to_json`."""
+        return self.status(axis_loops).to_json()
+
+    def snapshot_of(self, axis_loop: "AxisLoop") -> JsonObject:
+        """Return the state of the service and of one axis, ready for JSON."""
+        return self.snapshot((axis_loop,))
 
 
 def report_axis(axis_loop: "AxisLoop") -> AxisReport:
@@ -47,7 +94,7 @@ def report_axis(axis_loop: "AxisLoop") -> AxisReport:
     return AxisReport(
         axis=_axis_status(axis_loop),
         move=_move_status(axis.move),
-        trip=_trip_status(axis_loop),
+        trip=None if axis.trip is None else _trip_status(axis_loop, axis.trip),
         drive=DriveStatus(
             enabled=drive.enabled,
             disabling=axis.is_disabling,
@@ -110,20 +157,18 @@ def _move_status(move: "Move | None") -> MoveStatus | None:
     )
 
 
-def _trip_status(axis_loop: "AxisLoop") -> TripStatus | None:
-    axis, file = axis_loop.axis, axis_loop.event_log.trip_file
-    if axis.trip is None:
-        return None
+def _trip_status(axis_loop: "AxisLoop", trip: "Trip") -> TripStatus:
+    axis = axis_loop.axis
     return TripStatus(
-        code=axis.trip.code,
-        cause=axis.trip.cause,
-        next_action=axis.trip.next_action,
-        tick=axis.trip.tick,
-        reaction=axis.trip.reaction.name.lower(),
+        code=trip.code,
+        cause=trip.cause,
+        next_action=trip.next_action,
+        tick=trip.tick,
+        reaction=trip.reaction.name.lower(),
         escalation=None if axis.escalation is None else axis.escalation.code,
         codes=list(axis.trips),
-        file=None if file.path is None else str(file.path),
-        file_error=file.error,
+        file=trip.file.path,
+        file_error=trip.file.error,
     )
 
 

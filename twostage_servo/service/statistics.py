@@ -12,6 +12,8 @@ class TickStatistics:
 
     Attributes
     ----------
+    uptime_s
+        How long the service had run when the latest tick was due, in s.
     count, missed
         Ticks served, and deadlines that passed unserved.
     lateness
@@ -21,13 +23,15 @@ class TickStatistics:
     """
 
     def __init__(self) -> None:
+        self.uptime_s = 0.0
         self.count = 0
         self.missed = 0
         self.lateness = TimeHistogram()
         self.duration = {name: TimeHistogram() for name in (*PHASES, "whole")}
 
-    def begin(self, lateness_s: float, missed: int) -> None:
+    def begin(self, uptime_s: float, lateness_s: float, missed: int) -> None:
         """Count a tick as it begins."""
+        self.uptime_s = uptime_s
         self.count += 1
         self.missed += missed
         self.lateness.add(lateness_s)

@@ -6,11 +6,12 @@ from twostage_servo.axis.state import State
 from twostage_servo.printable import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from twostage_servo.axis.trips import Trip
     from twostage_servo.service.axis_loop import AxisLoop
-    from twostage_servo.service.servo_service import ServoService
+    from twostage_servo.service.shutdown import Shutdown
+    from twostage_servo.service.statistics import TickStatistics
     from twostage_servo.timing.ticks import Tick
 
 WORDS: Final = {
@@ -38,46 +39,59 @@ class StatusLine:
 
     Parameters
     ----------
-    service
+    axis_loops, statistics, shutdown
         What it is about.
+    period_s
+        Length of a tick in s.
     show
         Called with each new line, returns whether it could be told; must not wait.
     """
 
-    def __init__(self, service: "ServoService", show: "Callable[[str], bool]") -> None:
-        self._service = service
+    def __init__(
+        self,
+        axis_loops: "Sequence[AxisLoop]",
+        statistics: "TickStatistics",
+        shutdown: "Shutdown",
+        period_s: float,
+        show: "Callable[[str], bool]",
+    ) -> None:
+        self._axis_loops = axis_loops
+        self._statistics = statistics
+        self._shutdown = shutdown
         self._show = show
         self._shown = ""
         self._missed = 0
         self._missed_lately = 0
-        self._ticks_a_second = round(1.0 / service.ticks.period_s)
+        self._ticks_a_second = round(1.0 / period_s)
         self._next_count = self._next_look = 0
 
     def publish(self, tick: "Tick") -> None:
         """Look at the service, if it is time to, and show the line if it has changed."""
         if tick.index >= self._next_count:
             self._next_count = tick.index + self._ticks_a_second
-            missed = self._service.statistics.missed
+            missed = self._statistics.missed
             self._missed_lately, self._missed = missed - self._missed, missed
         if tick.index >= self._next_look:
             self._next_look = tick.index + max(1, self._ticks_a_second // 10)
-            line = status_line(self._service, self._missed_lately)
+            line = status_line(self._axis_loops, self._missed_lately, is_ending=self._shutdown.is_ending)
             if line != self._shown and self._show(line):
                 self._shown = line
 
 
-def status_line(service: "ServoService", missed_lately: int) -> str:
+def status_line(axis_loops: "Sequence[AxisLoop]", missed_lately: int, *, is_ending: bool) -> str:
     """Return the line.
 
     Parameters
     ----------
-    service
+    axis_loops
         What it is about.
     missed_lately
         Ticks that were missed in the last second.
+    is_ending
+        Whether the service is ending.
     """
-    parts = ["ending"] if service.is_ending else []
-    parts += [_of(axis_loop) for axis_loop in service.axis_loops]
+    parts = ["ending"] if is_ending else []
+    parts += [_of(axis_loop) for axis_loop in axis_loops]
     if missed_lately:
         parts.append(f"late, {missed_lately} ticks missed in the last second")
     line = " | ".join(printable(" ".join(part.split())) for part in parts)
@@ -105,7 +119,7 @@ def _of(axis_loop: "AxisLoop") -> str:
 
 def _of_trip(axis_loop: "AxisLoop", trip: "Trip") -> str:
     words = f" ({trip.code}): {trip.cause.rstrip('.')}. {trip.next_action}"
-    if (error := axis_loop.event_log.trip_file.error) is not None:
+    if (error := trip.file.error) is not None:
         words = f"{words} Besides: {error}."
     for one in axis_loop.axis.lasting:
         if one.code is not trip.code:

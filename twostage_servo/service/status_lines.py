@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 
 from twostage_servo.api.records import JsonRecord
 from twostage_servo.service.answers import encode
-from twostage_servo.service.snapshot import report_service
+from twostage_servo.service.snapshot import StatusReport, report_axis
 
 if TYPE_CHECKING:
     from twostage_servo.service.axis_loop import AxisLoop
-    from twostage_servo.service.servo_service import ServoService
 
 
 class StatusLines:
@@ -21,17 +20,19 @@ class StatusLines:
 
     Parameters
     ----------
-    service
-        What is reported.
+    report
+        Tells what is reported.
 
     Attributes
     ----------
+    report
+        As given.
     made
         Reports of axes that were made, rather than taken from what there was.
     """
 
-    def __init__(self, service: "ServoService") -> None:
-        self._service = service
+    def __init__(self, report: StatusReport) -> None:
+        self.report = report
         self._common: bytes | None = None
         self._axes: dict[str, bytes] = {}
         self.made = 0
@@ -41,18 +42,18 @@ class StatusLines:
         self._common = None
         self._axes.clear()
 
-    def line(self, name: str | None, before: bytes) -> Iterator[bytes]:
+    def line(self, only: "AxisLoop | None", before: bytes) -> Iterator[bytes]:
         """Yield a line in pieces.
 
         Parameters
         ----------
-        name
+        only
             The axis; None for the only one, or for all.
         before
             What the object begins with, up to a comma.
         """
-        axis_loops = self._service.axis_loops
-        if name is None and len(axis_loops) > 1:
+        axis_loops = self.report.axis_loops
+        if only is None and len(axis_loops) > 1:
             yield before + self._of_service() + b',"axes":{'
             comma = b""
             for axis_loop in axis_loops:
@@ -60,18 +61,18 @@ class StatusLines:
                 comma = b","
             yield b"}}\n"
         else:
-            yield before + self._of_service() + b"," + self._of_axis(self._service.axis_loop(name)) + b"}\n"
+            yield before + self._of_service() + b"," + self._of_axis(only or axis_loops[0]) + b"}\n"
 
     def _of_service(self) -> bytes:
         if self._common is None:
-            self._common = _inside(report_service(self._service))
+            self._common = _inside(self.report.common())
         return self._common
 
     def _of_axis(self, axis_loop: "AxisLoop") -> bytes:
         part = self._axes.get(axis_loop.name)
         if part is None:
             self.made += 1
-            part = self._axes[axis_loop.name] = _inside(axis_loop.report())
+            part = self._axes[axis_loop.name] = _inside(report_axis(axis_loop))
         return part
 
 

@@ -8,6 +8,7 @@ from twostage_servo.service.background_server import Priority
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from twostage_servo.service.axis_loop import AxisLoop
     from twostage_servo.service.background_server import BackgroundServer
     from twostage_servo.service.connection import Connection
     from twostage_servo.service.connections import Connections
@@ -38,20 +39,20 @@ class Watchers:
         Those that may watch.
     status
         Makes the lines.
-    turns
+    background
         Gives the time.
     """
 
-    def __init__(self, connections: "Connections", status: "StatusLines", turns: "BackgroundServer") -> None:
+    def __init__(self, connections: "Connections", status: "StatusLines", background: "BackgroundServer") -> None:
         self._connections = connections
         self._status = status
-        self._background = turns
+        self._background = background
         self._tick = 0
         self._due = asyncio.Event()
-        self._begun: dict[str | None, _Begun] = {}
-        self._lines: dict[str | None, tuple[int, bytes]] = {}  # with the tick since which each was made
+        self._begun: dict[AxisLoop | None, _Begun] = {}
+        self._lines: dict[AxisLoop | None, tuple[int, bytes]] = {}  # with the tick since which each was made
 
-    def begin(self, connection: "Connection", every: int, axis: str | None) -> None:
+    def begin(self, connection: "Connection", every: int, axis: "AxisLoop | None") -> None:
         """Let a connection have a snapshot each `every` ticks, from the next tick on."""
         connection.every, connection.axis, connection.due = every, axis, self._tick + 1
 
@@ -85,30 +86,30 @@ class Watchers:
         """Go on with what is due the longest, for as long as a turn should take."""
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._background.slice_s
-        name, since = due[0].axis, due[0].due
-        if name not in self._lines or self._lines[name][0] < since:
-            self._make(name, since, until_s)
-        if name not in self._lines or self._lines[name][0] < since:
+        axis, since = due[0].axis, due[0].due
+        if axis not in self._lines or self._lines[axis][0] < since:
+            self._make(axis, since, until_s)
+        if axis not in self._lines or self._lines[axis][0] < since:
             return
-        tick, line = self._lines[name]
-        for connection in [one for one in due if one.axis == name and one.due <= tick][:_MOST_A_TURN]:
+        tick, line = self._lines[axis]
+        for connection in [one for one in due if one.axis is axis and one.due <= tick][:_MOST_A_TURN]:
             connection.due = self._tick + connection.every
             if connection.send_snapshot(line):
                 self._connections.touch(connection)
             if clock() >= until_s:
                 return
 
-    def _make(self, name: str | None, since: int, until_s: float) -> None:
+    def _make(self, axis: "AxisLoop | None", since: int, until_s: float) -> None:
         """Go on with a line that was not begun before a tick, or begin one."""
         clock = asyncio.get_running_loop().time
-        begun = self._begun.get(name)
+        begun = self._begun.get(axis)
         if begun is None or begun.tick < since:
-            begun = self._begun[name] = _Begun(self._tick, self._status.line(name, _BEGIN), [])
+            begun = self._begun[axis] = _Begun(self._tick, self._status.line(axis, _BEGIN), [])
         for _ in range(_MOST_A_TURN):
             piece = next(begun.pieces, None)
             if piece is None:
-                del self._begun[name]
-                self._lines[name] = begun.tick, b"".join(begun.made)
+                del self._begun[axis]
+                self._lines[axis] = begun.tick, b"".join(begun.made)
                 return
             begun.made.append(piece)
             if clock() >= until_s:

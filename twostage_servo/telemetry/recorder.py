@@ -92,9 +92,10 @@ class Recorder:
             )
         )  # fmt: skip
 
-    def keep(self) -> None:
-        """Set the present ring aside, as the recording of a trip."""
+    def keep(self) -> Recording:
+        """Set the present ring aside, as the recording of a trip, and return it."""
         self._kept = Recording(tuple(self._ring))
+        return self._kept
 
     def discard(self) -> None:
         """Forget what was kept."""

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import structlog
 
+from twostage_servo.axis.trips import TripFile
 from twostage_servo.printable import ready_for_json
 from twostage_servo.worker_thread import WorkerThread
 
@@ -39,24 +40,6 @@ def default_folder() -> Path:
         return Path(directory.partition(":")[0]) / "trips"
     home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(home) / "twostage-servo" / "trips"
-
-
-class TripFile:
-    """What becomes of the file of one trip.
-
-    Attributes
-    ----------
-    path
-        Where it is, as soon as it is whole; None before.
-    error
-        Why it could not be written, or None.
-    """
-
-    __slots__ = ("error", "path")
-
-    def __init__(self) -> None:
-        self.path: Path | None = None
-        self.error: str | None = None
 
 
 class TripFiles:
@@ -101,46 +84,55 @@ class TripFiles:
         """
         self._thread.start()
 
-    def write(self, name: str, document: Document, records: Records) -> "TripFile":
-        """Begin to write a file; ``name`` (axis and code) goes into its name. Never waits, and never raises.
+    def write(self, name: str, document: Document, records: Records, file: TripFile | None = None) -> TripFile:
+        """Begin to write a file; never waits, and never raises.
+
+        Parameters
+        ----------
+        name
+            Axis and code, which go into the file's name.
+        document, records
+            What to write.
+        file
+            Is told what becomes of it.
 
         Returns
         -------
         TripFile
-            What becomes of it.
+            `file`, or a new one.
         """
-        file = TripFile()
+        file = TripFile() if file is None else file
         try:
             future = asyncio.get_running_loop().run_in_executor(
                 self._thread, self._write_file, self.folder, _plain(name), document, records
             )
             self._writing.add(future)
-            future.add_done_callback(lambda done: self._written(done, file))
+            future.add_done_callback(lambda done: self._written(name, done, file))
         except (RuntimeError, MemoryError) as error:
-            self.fail(error, file)
+            self.fail(name, error, file)
         return file
 
-    def fail(self, error: BaseException, file: "TripFile") -> None:
+    def fail(self, name: str, error: BaseException, file: TripFile) -> None:
         """Tell that a file could not be written, and why."""
         why = str(error) or ("no memory is left" if isinstance(error, MemoryError) else type(error).__name__)
         self.error = file.error = f"no trip file can be written in {self.folder}: {why}"
-        self._log.error("no trip file", error=self.error)
+        self._log.error("no trip file", trip=name, error=self.error)
 
     def close(self) -> None:
         """Let what is being written be written, and end the thread; a disk that hangs is not waited for."""
         if not self._thread.end(_LONGEST_END_S):
             self._log.error("a trip file is not written, its disk hangs", folder=str(self.folder))
 
-    def _written(self, future: "asyncio.Future[Path]", file: "TripFile") -> None:
+    def _written(self, name: str, future: "asyncio.Future[Path]", file: TripFile) -> None:
         self._writing.discard(future)
         if future.cancelled():
             return
         if error := future.exception():
-            self.fail(error, file)
+            self.fail(name, error, file)
         else:
             self.latest, self.error = future.result(), None
-            file.path = self.latest
-            self._log.info("trip file", path=str(self.latest))
+            file.path = str(self.latest)
+            self._log.info("trip file", trip=name, path=file.path)
 
 
 def _plain(name: str) -> str:
@@ -149,6 +141,8 @@ def _plain(name: str) -> str:
 
 def write_file(folder: Path, name: str, document: Document, records: Records) -> Path:
     """Write a document with its records as JSON, whole or not at all; a number that is not finite becomes null.
+
+    The trip in the document's snapshot, if there is one, is told the path of this very file.
 
     Parameters
     ----------
@@ -176,7 +170,7 @@ def write_file(folder: Path, name: str, document: Document, records: Records) ->
             unfinished, descriptor = _new_file(folder, name)
         path = unfinished.with_suffix(".json")
         try:
-            _write(descriptor, document, records)
+            _write(descriptor, _with_own_path(document, path), records)
             with _locked(directory):
                 unfinished.replace(path)
         except BaseException:
@@ -229,6 +223,13 @@ def _new_file(folder: Path, name: str) -> tuple[Path, int]:
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return path, descriptor
+
+
+def _with_own_path(document: Document, path: Path) -> Document:
+    snapshot = document.get("snapshot")
+    if not snapshot or snapshot.get("trip") is None:
+        return document
+    return document | {"snapshot": snapshot | {"trip": snapshot["trip"] | {"file": str(path)}}}
 
 
 def _write(descriptor: int, document: Document, records: Records) -> None:

@@ -1,5 +1,6 @@
-"""What the desk makes of each request, with axes that only write down what they are told."""
+"""What becomes of each request, with axes that only write down what they are told."""
 
+from collections.abc import Awaitable, Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,7 +10,10 @@ import structlog
 from twostage_servo.api.request_reading import read_request
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import COMMANDED, State
-from twostage_servo.service.desk import Desk
+from twostage_servo.service.authority import Authority
+from twostage_servo.service.reload import Change, Reload
+from twostage_servo.service.request_age import RequestAge
+from twostage_servo.service.request_handler import HolderLost, RequestHandler
 from twostage_servo.timing.virtual_clock import run as run_alone
 
 
@@ -43,32 +47,31 @@ class WrittenDown:
 class Service:
     """Two axes, each on its own bus."""
 
-    def __init__(self) -> None:
+    def __init__(
+        self, prepare: Callable[[], Awaitable[Change]] | None = None, holder_lost: HolderLost = "continue"
+    ) -> None:
         self.axes = {name: WrittenDown(name) for name in ("x", "y")}
         self.discarded: list[str] = []
         self.axis_loops: list[Any] = [self._axis_loop(name, axis) for name, axis in self.axes.items()]
-        self.settings = SimpleNamespace(holder_lost="continue")
-        self.is_ending = False
         self.failed: list[Exception] = []
-        self.desk = Desk(self)  # type: ignore[arg-type]
+        shutdown: Any = SimpleNamespace(is_ending=False, fail=self.failed.append)
+        self.shutdown = shutdown
+        status: Any = SimpleNamespace(report=SimpleNamespace(snapshot=self._snapshot))
+        self.reload = Reload(self.axis_loops, prepare)
+        self.requests = RequestHandler(
+            self.axis_loops, status, Authority(), shutdown, self.reload, RequestAge(0.01), holder_lost
+        )
 
     def _axis_loop(self, name: str, axis: WrittenDown) -> Any:
         recorder = SimpleNamespace(records=lambda: [f"of {name}"], discard=lambda: self.discarded.append(name))
         return SimpleNamespace(name=name, axis=axis, bus=SimpleNamespace(error=None), recorder=recorder)
 
-    def axis_loop(self, name: str | None) -> Any:
-        if name is None:
-            raise KeyError(name)
-        return next((one for one in self.axis_loops if one.name == name), None) or self.axis_loop(None)
-
-    def snapshot(self, name: str | None) -> dict[str, Any]:
-        return {"of": name}
-
-    def fail(self, error: Exception) -> None:
-        self.failed.append(error)
+    @staticmethod
+    def _snapshot(axis_loops: Sequence[Any]) -> dict[str, Any]:
+        return {"of": axis_loops[0].name if len(axis_loops) == 1 else None}
 
     def ask(self, client: str = "operator", **request: Any) -> dict[str, Any]:
-        return self.desk.handle(read_request(request), client)
+        return self.requests.handle(read_request(request), client)
 
     def refusal(self, client: str = "operator", **request: Any) -> tuple[str, str]:
         with pytest.raises(Refused) as refused:
@@ -134,7 +137,7 @@ def test_reading_is_of_the_axis_that_is_named() -> None:
     assert service.ask(op="recording", axis="y")["records"] == ["of y"]
     assert service.refusal(op="recording")[0] == "which_axis"
     assert service.refusal(op="status", axis="z")[0] == "which_axis"
-    assert service.desk.authority.holder is None
+    assert service.requests.authority.holder is None
 
 
 # All or none ---------------------------------------------------------------------------------------------------------
@@ -214,20 +217,20 @@ def test_one_client_commands_and_everybody_may_stop_and_disarm(op: str) -> None:
     for free in ("stop", "disarm", "status"):
         service.ask("another", op=free)
     service.ask("one", op="release")
-    assert service.desk.authority.holder is None
+    assert service.requests.authority.holder is None
     service.ask("another", op="arm")
-    assert service.desk.authority.holder == "another"
+    assert service.requests.authority.holder == "another"
 
 
 def test_acquire_takes_what_is_free_and_from_nobody() -> None:
     service = Service()
     service.ask("one", op="acquire")
-    assert service.desk.authority.holder == "one"
+    assert service.requests.authority.holder == "one"
     service.ask("one", op="acquire")
     code, said = service.refusal("another", op="acquire")
     assert code == "lease_held"
     assert "`release --force`" in said
-    assert service.desk.authority.holder == "one"
+    assert service.requests.authority.holder == "one"
 
 
 @pytest.mark.parametrize("op", ["preempt", "take"])
@@ -239,23 +242,22 @@ def test_the_lease_may_be_taken_while_every_axis_is_at_rest(state: State, op: st
     at_rest = {State.DISARMED, State.ARMING, State.HOLDING, State.TRIPPED}
     if state in at_rest:
         service.ask("another", op=op)
-        assert service.desk.authority.holder == "another"
+        assert service.requests.authority.holder == "another"
     else:
         assert service.refusal("another", op=op)[0] == "busy"
 
 
 @pytest.mark.parametrize("policy", ["continue", "stop", "disarm"])
 @pytest.mark.parametrize("state", list(State))
-def test_when_the_client_that_commands_has_gone(policy: str, state: State) -> None:
-    service = Service()
-    service.settings.holder_lost = policy
+def test_when_the_client_that_commands_has_gone(policy: HolderLost, state: State) -> None:
+    service = Service(holder_lost=policy)
     service.ask("one", op="arm", axis="x")
     axis = service.axes["y"]
     axis.state = state
-    service.desk.leave("another")
+    service.requests.leave("another")
     assert axis.told == []
     with structlog.testing.capture_logs() as logs:
-        service.desk.leave("one")
+        service.requests.leave("one")
     if state is State.JOGGING:
         assert axis.told == [("stop", "one has gone, who held the jog")]
     elif state in COMMANDED and policy != "continue":
@@ -265,7 +267,7 @@ def test_when_the_client_that_commands_has_gone(policy: str, state: State) -> No
         assert logs == [{"event": event, "log_level": "warning", "axis": "y", "client": "one", "policy": policy}]
     else:
         assert axis.told == []
-    assert service.desk.authority.holder is None
+    assert service.requests.authority.holder is None
 
 
 # The end, and defects ------------------------------------------------------------------------------------------------
@@ -274,7 +276,7 @@ def test_when_the_client_that_commands_has_gone(policy: str, state: State) -> No
 @pytest.mark.parametrize("op", ["arm", "stop", "disarm", "reset", "acquire", "preempt", "release"])
 def test_a_service_that_ends_only_reads(op: str) -> None:
     service = Service()
-    service.is_ending = True
+    service.shutdown.is_ending = True
     code, text = service.refusal(op=op)
     assert (code, text) == ("ending", "the service is ending: nothing but reading is possible any more.")
     assert service.ask(op="status") == {"of": None}
@@ -291,104 +293,87 @@ def test_a_defect_ends_the_service_and_is_told_with_its_kind() -> None:
     service.axes["x"].__dict__["jog"] = broken
     text = "ZeroDivisionError: by nothing; the service is stopping"
     assert service.refusal(op="jog", velocity=1.0, axis="x") == ("internal_error", text)
-    with pytest.raises(Refused, match="by nothing"):
-        service.desk.carry_out(read_request({"op": "jog", "velocity": 1.0, "axis": "x"}), "operator")
-    assert service.failed == [defect, defect]
+    assert service.failed == [defect]
 
 
 # Reading the configuration again -------------------------------------------------------------------------------------
 
 
+class Prepared:
+    """Prepares what writes down that it was put in force."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+
+    async def __call__(self) -> Change:
+        self.done.append("prepare")
+        return lambda: self.done.append("in force")
+
+
 def test_a_service_without_a_file_has_nothing_to_read_again() -> None:
-    assert Service().refusal(op="reload")[0] == "no_configuration"
-
-
-@pytest.mark.parametrize("state", [state for state in State if state is not State.DISARMED])
-def test_settings_are_read_again_only_while_every_axis_is_disarmed(state: State) -> None:
-    service, done = Service(), list[str]()
-    service.desk.reload = lambda: done.append("reload")
-    service.axes["y"].state = state
-    assert service.refusal(op="reload") == (
-        "armed",
-        f"axis y is {state}: settings are read again only while disarmed.",
-    )
-    assert done == []
-    service.axes["y"].state = State.DISARMED
-    service.ask(op="reload")
-    assert done == ["reload"]
+    service = Service()
+    run_alone(service.requests.prepare_reload("one"))
+    assert not service.reload.is_prepared("one")
+    assert service.refusal("one", op="reload")[0] == "no_configuration"
 
 
 def test_what_was_prepared_for_a_client_is_put_in_force_by_its_own_request_once() -> None:
-    service, done = Service(), list[str]()
-    desk = service.desk
-
-    async def prepare() -> Any:
-        return lambda: done.append("prepared")
-
-    desk.reload = lambda: done.append("read")
-    run_alone(desk.prepare_reload("one"))
-    assert not desk.is_prepared("one")  # nothing prepares
-    desk.prepare = prepare
-    run_alone(desk.prepare_reload("one"))
-    assert [desk.is_prepared("one"), desk.is_prepared("another")] == [True, False]
+    prepared = Prepared()
+    service = Service(prepared)
+    run_alone(service.requests.prepare_reload("one"))
+    assert [service.reload.is_prepared("one"), service.reload.is_prepared("another")] == [True, False]
     service.ask("one", op="reload")
-    assert done == ["prepared"]
-    assert not desk.is_prepared("one")
-    service.ask("one", op="reload")
-    assert done == ["prepared", "read"]
+    assert prepared.done == ["prepare", "in force"]
+    assert not service.reload.is_prepared("one")
+    assert service.refusal("one", op="reload")[0] == "no_configuration"
 
 
 def test_what_was_prepared_for_another_client_is_thrown_away() -> None:
-    service, done = Service(), list[str]()
-
-    async def prepare() -> Any:
-        return lambda: done.append("prepared")
-
-    service.desk.reload = lambda: done.append("read")
-    service.desk.prepare = prepare
-    run_alone(service.desk.prepare_reload("one"))
+    prepared = Prepared()
+    service = Service(prepared)
+    run_alone(service.requests.prepare_reload("one"))
     service.ask("one", op="release")
-    service.ask("another", op="reload")
-    assert done == ["read"]
-    assert not service.desk.is_prepared("one")
+    assert service.refusal("another", op="reload")[0] == "no_configuration"
+    assert prepared.done == ["prepare"]
+    assert not service.reload.is_prepared("one")
 
 
-def test_an_axis_that_was_armed_meanwhile_keeps_its_settings() -> None:
-    service, done = Service(), list[str]()
+@pytest.mark.parametrize("state", [state for state in State if state is not State.DISARMED])
+def test_an_axis_that_was_armed_meanwhile_keeps_its_settings(state: State) -> None:
+    prepared = Prepared()
+    service = Service(prepared)
+    run_alone(service.requests.prepare_reload("one"))
+    service.axes["y"].state = state
+    assert service.refusal("one", op="reload") == (
+        "armed",
+        f"axis y is {state}: settings are read again only while disarmed.",
+    )
+    assert prepared.done == ["prepare"]
 
-    async def prepare() -> Any:
-        return lambda: done.append("prepared")
 
-    service.desk.prepare = prepare
-    run_alone(service.desk.prepare_reload("one"))
-    service.axes["x"].state = State.HOLDING
-    assert service.refusal("one", op="reload")[0] == "armed"
-    assert done == []
-
-
-@pytest.mark.parametrize("obstacle", ["ending", "armed", "lease_held", "busy"])
+@pytest.mark.parametrize("obstacle", ["ending", "armed", "lease_held"])
 def test_nothing_is_prepared_that_would_be_refused(obstacle: str) -> None:
-    service, done = Service(), list[str]()
-    codes = []
-
-    async def prepare() -> Any:
-        done.append("prepare")
-        if obstacle == "busy":
-            with pytest.raises(Refused, match="one has asked for `reload` just now: wait for its end") as refused:
-                await service.desk.prepare_reload("one")
-            codes.append(refused.value.code)
-        return lambda: None
-
-    service.desk.prepare = prepare
-    service.is_ending = obstacle == "ending"
+    prepared = Prepared()
+    service = Service(prepared)
+    service.shutdown.is_ending = obstacle == "ending"
     service.axes["x"].state = State.HOLDING if obstacle == "armed" else State.DISARMED
     if obstacle == "lease_held":
         service.ask("another", op="arm")
-    if obstacle == "busy":
-        run_alone(service.desk.prepare_reload("one"))
-        assert (codes, done) == (["busy"], ["prepare"])
-        run_alone(service.desk.prepare_reload("one"))  # it is over
-        return
     with pytest.raises(Refused) as refused:
-        run_alone(service.desk.prepare_reload("one"))
-    assert (refused.value.code, done) == (obstacle, [])
+        run_alone(service.requests.prepare_reload("one"))
+    assert (refused.value.code, prepared.done) == (obstacle, [])
+
+
+def test_one_configuration_is_read_at_a_time() -> None:
+    codes: list[str] = []
+
+    async def prepare() -> Change:
+        with pytest.raises(Refused, match="one has asked for `reload` just now: wait for its end") as refused:
+            await service.requests.prepare_reload("one")
+        codes.append(refused.value.code)
+        return lambda: None
+
+    service = Service(prepare)
+    for number in (1, 2):  # the second time the first one is over
+        run_alone(service.requests.prepare_reload("one"))
+        assert codes == ["busy"] * number

@@ -1,0 +1,73 @@
+"""Keeps the recording of each trip of an axis, in memory and as a file; the trip tells where that is."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+import structlog
+
+from twostage_servo.service.axis_loop import AxisLoop
+from twostage_servo.telemetry.recorder import Record
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from twostage_servo.axis.trips import Trip, TripFile
+    from twostage_servo.timing.ticks import Tick
+
+
+class TripWriter(Protocol):
+    """Writes trip files, and tells what becomes of each; never waits."""
+
+    def write(
+        self, name: str, document: dict[str, Any], records: "Sequence[Sequence[Any]]", file: "TripFile"
+    ) -> object:
+        """Begin to write a file."""
+
+    def fail(self, name: str, error: BaseException, file: "TripFile") -> None:
+        """Tell that a file could not be written, and why."""
+
+
+class TripRecorder:
+    """Looks at an axis after each tick, which has been recorded.
+
+    Parameters
+    ----------
+    axis_loop
+        The axis with its recorder.
+    snapshot
+        Makes what a trip's file says beside the recording.
+    files
+        Writes it; None: recordings stay in memory only.
+    """
+
+    def __init__(
+        self, axis_loop: AxisLoop, snapshot: Callable[[AxisLoop], dict[str, Any]], files: TripWriter | None
+    ) -> None:
+        self._axis_loop = axis_loop
+        self._snapshot = snapshot
+        self._files = files
+        self._trip: Trip | None = None
+
+    def publish(self, _: "Tick") -> None:
+        """Keep the recording if the axis has tripped in this tick."""
+        trip = self._axis_loop.axis.trip
+        if trip is not None and trip is not self._trip:
+            self._keep(trip)
+        self._trip = trip
+
+    def _document(self) -> dict[str, Any]:
+        return {"snapshot": self._snapshot(self._axis_loop), "fields": Record._fields}
+
+    def _keep(self, trip: "Trip") -> None:
+        """Keep the last ticks; for want of memory without them, since the axis has to go on."""
+        name = f"{self._axis_loop.name}-{trip.code}"
+        try:
+            records = self._axis_loop.recorder.keep()
+            if self._files is not None:
+                self._files.write(name, self._document(), records, trip.file)
+        except MemoryError as error:
+            if self._files is not None:
+                self._files.fail(name, error, trip.file)
+            else:
+                text = "no recording of the trip: no memory is left"
+                structlog.get_logger().error(text, axis=self._axis_loop.name)
