@@ -151,7 +151,7 @@ def test_only_the_embedded_demo_in_real_time_is_patient(
         loaded.append(configuration.config)
         raise CommandError(ExitCode.FAILED, "test", "seen enough")
 
-    monkeypatch.setattr("twostage_servo.app.demonstration.Demonstration", refuse)
+    monkeypatch.setattr("twostage_servo.app.demonstration.demonstrate", refuse)
     assert main(["demo", *arguments]) == 3
     (config,) = loaded
     axis, simulation = config.axis.limits, config.simulation

@@ -9,8 +9,9 @@ from typing import Any, Self
 import pytest
 
 from tests.service.rig import World, simulate
+from twostage_servo.app.serve import Served
 from twostage_servo.axis.state import State
-from twostage_servo.cli import operate, serve
+from twostage_servo.cli import operate
 from twostage_servo.cli.client import Answer
 from twostage_servo.cli.main import main
 
@@ -141,10 +142,7 @@ def test_disarm_of_an_axis_that_has_tripped_is_done_when_its_drive_is_off(
 def test_run_ends_with_3_if_a_drive_was_not_seen_to_be_disabled(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, not_disabled: list[str], code: int
 ) -> None:
-    async def serve_nothing(service: Any, *_: object) -> None:
-        service.not_disabled = not_disabled
-
-    monkeypatch.setattr(serve, "_serve", serve_nothing)
+    monkeypatch.setattr("twostage_servo.app.serve.serve", lambda *_: Served({}, not_disabled))
     config = Path(__file__).parents[2] / "config" / "two_processes.toml"
     arguments = ["--config", str(config), "--set", f"service.socket={tmp_path / 'socket'}"]
     assert main(["run", *arguments]) == code

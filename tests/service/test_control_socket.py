@@ -30,7 +30,8 @@ from twostage_servo.service.answers import encode
 from twostage_servo.service.background_server import Priority
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, _Door
 from twostage_servo.service.request_handler import Asker, Reply
-from twostage_servo.telemetry.recorder import Record, Recorder
+from twostage_servo.telemetry.recorder import Recorder
+from twostage_servo.telemetry.sample import FIELDS
 
 
 @pytest.fixture
@@ -423,5 +424,5 @@ def test_a_long_recording_is_sent_in_pieces() -> None:
 
 
 def test_the_recording_of_no_tick_yet_is_an_empty_one() -> None:
-    line = b"".join(answers.recording(Record._fields[:1], Recorder(5).records()))
+    line = b"".join(answers.recording(FIELDS[:1], Recorder(5, 0.01).records()))
     assert line == b'{"ok":true,"fields":["tick"],"records":[]}\n'

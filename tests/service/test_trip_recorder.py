@@ -14,7 +14,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import Trip, TripCode, TripFile
 from twostage_servo.service.status_line import status_line
 from twostage_servo.service.trip_recorder import TripRecorder
-from twostage_servo.telemetry.recorder import Record
+from twostage_servo.telemetry.sample import FIELDS
 from twostage_servo.telemetry.trip_files import TripFiles
 from twostage_servo.timing.ticks import Tick
 
@@ -69,7 +69,7 @@ def test_a_recording_is_written_once_with_what_the_axis_was_and_the_names_of_its
     trip = kept.trip()
     kept.tick()
     kept.tick()
-    document = {"snapshot": {"a snapshot of": "x"}, "fields": Record._fields}
+    document = {"snapshot": {"a snapshot of": "x"}, "fields": FIELDS}
     assert files.written == [("x-jam", document, ["records"], trip.file)]
     assert (files.failed, kept.kept) == ([], 1)
     kept.axis.trip = None

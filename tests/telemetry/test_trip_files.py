@@ -23,7 +23,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.telemetry import trip_files
-from twostage_servo.telemetry.recorder import Record
+from twostage_servo.telemetry.sample import FIELDS, Sample
 from twostage_servo.telemetry.trip_files import KEPT, TripFiles, default_folder, write_file
 from twostage_servo.timing.virtual_clock import run
 
@@ -63,12 +63,12 @@ def test_a_trip_leaves_a_file_with_what_led_to_it(tmp_path: Path) -> None:
     assert file.name.endswith(f"-x-{snapshot['trip']['code']}.json")
     document = json.loads(file.read_text(encoding="utf-8"))
     assert set(document) == {"snapshot", "fields", "records"}
-    assert document["fields"] == list(Record._fields)
+    assert document["fields"] == list(FIELDS)
     trip = document["snapshot"]["trip"]
     assert {key: trip[key] for key in ("code", "cause", "next_action", "tick")} == {
         key: snapshot["trip"][key] for key in ("code", "cause", "next_action", "tick")
     }
-    records = [Record(*record) for record in document["records"]]
+    records = [Sample(*record) for record in document["records"]]
     assert len(records) == 200  # 2 s, up to the tick of the trip
     assert records[-1].tick == trip["tick"]
     assert [after.tick - before.tick for before, after in itertools.pairwise(records)] == [1] * 199

@@ -61,17 +61,17 @@ def _differences(demonstration: Demonstration, run: Run) -> tuple[float, float, 
     The drive samples when a command arrives, and the loop reads that sample at the next tick.
     """
     samples = demonstration.samples
-    start = next(index for index, sample in enumerate(samples) if sample.state in MOVING)
+    start = next(index for index, sample in enumerate(samples) if sample.sample.state in MOVING)
     position = effort = 0.0
     ticks = 0
     for now, after, alone_position, alone_effort in zip(
         samples[start:], samples[start + 1 :], run.position, run.effort, strict=False
     ):
-        if after.state not in MOVING | {State.HOLDING}:
+        if after.sample.state not in MOVING | {State.HOLDING}:
             break
-        assert after.measured_position is not None  # noqa: S101 - every tick of a move has its sample, in simulated time
-        position = max(position, abs(after.measured_position - alone_position))
-        effort = max(effort, abs(now.effort - alone_effort))
+        assert after.sample.measured_position is not None  # noqa: S101 - every tick of a move has its sample, in simulated time
+        position = max(position, abs(after.sample.measured_position - alone_position))
+        effort = max(effort, abs(now.sample.effort - alone_effort))
         ticks += 1
     return position, effort, ticks
 

@@ -5,7 +5,7 @@ import hashlib
 import itertools
 import struct
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from twostage_servo.app.closed_loop import ClosedLoop, closed_loop
 from twostage_servo.axis.messages import DriveTraits
@@ -15,6 +15,7 @@ from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.host.settings import RealtimeSettings
+from twostage_servo.telemetry.sample import FIELDS, Sample
 from twostage_servo.timing.ticks import Tick
 
 _READY_S = 3.0
@@ -28,21 +29,34 @@ _ORDINARY_TICKS = 50
 _OPERATING = MOVING | {State.HOLDING}
 
 
-class Sample(NamedTuple):
+class TracedTick(NamedTuple):
     """One tick of the demo: the loop's view, and the true plant's state."""
 
-    time_s: float
-    state: str
+    sample: Sample
     changeovers: int
     true_position: float
     true_velocity: float
-    measured_position: float | None
-    estimated_position: float
-    estimated_velocity: float
-    estimated_disturbance: float
-    effort: float
-    speed_reference: float
-    following_error: float
+
+
+_NAMES: Final = {
+    "position": "estimated_position",
+    "velocity": "estimated_velocity",
+    "disturbance": "estimated_disturbance",
+}
+"""What columns of a tick are called in a trace, where the true ones stand beside them."""
+_LEADING: Final = (
+    "time_s", "state", "changeovers", "true_position", "true_velocity", "measured_position", "estimated_position",
+    "estimated_velocity", "estimated_disturbance", "effort", "speed_reference", "following_error",
+)  # fmt: skip
+_OF_SAMPLE: Final = tuple(_NAMES.get(name, name) for name in FIELDS)
+TRACE_FIELDS: Final = (*_LEADING, *(name for name in _OF_SAMPLE if name not in _LEADING))
+"""The columns of a trace: all of a tick, and the true plant's."""
+
+
+def trace_row(tick: TracedTick) -> list[Any]:
+    """Return the row of a trace, in the order of :data:`TRACE_FIELDS`."""
+    values = dict(zip(_OF_SAMPLE, tick.sample, strict=True)) | tick._asdict()
+    return [values[name] for name in TRACE_FIELDS]
 
 
 class _Move(NamedTuple):
@@ -72,7 +86,7 @@ async def demonstrate(
     loaded: LoadedConfig[Config],
     target: float,
     velocity: float,
-    progress: Callable[[float, Sample], None] | None = None,
+    progress: Callable[[float, TracedTick], None] | None = None,
     realtime: RealtimeSettings | None = None,
 ) -> "Demonstration":
     """Run the whole demo on the running loop.
@@ -123,9 +137,9 @@ class Demonstration:
         frames: FrameHash,
         target: float,
         velocity: float,
-        progress: Callable[[float, Sample], None] | None,
+        progress: Callable[[float, TracedTick], None] | None,
     ) -> None:
-        self.samples: list[Sample] = []
+        self.samples: list[TracedTick] = []
         self.failure: str | None = None
         self.refused: Refused | None = None
         self._loop = loop
@@ -166,7 +180,7 @@ class Demonstration:
             self.failure = "the axis did not arm" + (f": {axis.trip.cause}" if axis.trip else "")
             return
         move = axis.move_to(self._target, self._velocity)
-        self._move = _Move(self.samples[-1].time_s, self._drive.position, self._target)
+        self._move = _Move(self.samples[-1].sample.time_s, self._drive.position, self._target)
         expected_s = abs(self._target - move.start) / self._velocity + _SETTLING_S
         if not await self._until(lambda: move.outcome is not MoveOutcome.MOVING, expected_s):
             self.failure = (
@@ -187,14 +201,9 @@ class Demonstration:
 
     def on_tick(self, tick: Tick) -> None:
         """Keep a sample, and look whether what is waited for has come."""
-        axis, estimate = self._axis_loop.axis, self._axis_loop.axis.estimate
-        self.samples.append(
-            Sample(
-                tick.index * self._loop.parts.period_s, axis.state, axis.changeovers, self._drive.position,
-                self._drive.velocity, axis.drive.position, estimate.position, estimate.velocity,
-                estimate.disturbance, self._axis_loop.command.effort, axis.speed_reference, axis.following_error,
-            )
-        )  # fmt: skip
+        axis, sample = self._axis_loop.axis, self._axis_loop.sample
+        assert sample is not None  # noqa: S101 - the tick has been recorded
+        self.samples.append(TracedTick(sample, axis.changeovers, self._drive.position, self._drive.velocity))
         if tick.index % 5 == 0:
             self._show(self.samples[-1])
         if self._waiting is not None:
@@ -202,7 +211,7 @@ class Demonstration:
             if not future.done() and (condition() or tick.deadline_s >= deadline_s):
                 future.set_result(condition())
 
-    def _show(self, sample: Sample) -> None:
+    def _show(self, sample: TracedTick) -> None:
         if self._progress is None or self._move is None:
             return
         length = self._move.target - self._move.start
@@ -234,14 +243,14 @@ class Demonstration:
                 ("final_error", "overshoot", "settling_band", "settling_time_s", "peak_velocity", "changeover")
             )
         start_s, start, target = self._move
-        samples = [s for s in self.samples if s.time_s >= start_s and s.state in _OPERATING]
+        samples = [s for s in self.samples if s.sample.time_s >= start_s and s.sample.state in _OPERATING]
         direction = 1.0 if target >= start else -1.0
         window = max(1e-3 * abs(target - start), self._config.axis.window.position)
         outside = [index for index, s in enumerate(samples) if abs(s.true_position - target) > window]
         if not outside:
             settling_s: float | None = 0.0
         elif outside[-1] + 1 < len(samples):
-            settling_s = samples[outside[-1] + 1].time_s - start_s
+            settling_s = samples[outside[-1] + 1].sample.time_s - start_s
         else:
             settling_s = None
         return {
@@ -253,13 +262,16 @@ class Demonstration:
             "changeover": self._changeover(samples),
         }
 
-    def _changeover(self, samples: list[Sample]) -> dict[str, float] | None:
+    def _changeover(self, samples: list[TracedTick]) -> dict[str, float] | None:
         assert self._move is not None  # noqa: S101 - the caller has looked
-        steps = [abs(self._sent(now.effort) - self._sent(before.effort)) for before, now in itertools.pairwise(samples)]
+        steps = [
+            abs(self._sent(now.sample.effort) - self._sent(before.sample.effort))
+            for before, now in itertools.pairwise(samples)
+        ]
         for index, (before, now) in enumerate(itertools.pairwise(samples)):
             if now.changeovers > before.changeovers:
                 return {
-                    "time_s": round(now.time_s - self._move.start_s, 6),
+                    "time_s": round(now.sample.time_s - self._move.start_s, 6),
                     "distance": abs(self._move.target - now.true_position),
                     "effort_step": steps[index],
                     "ordinary_effort_step": max(steps[max(0, index - _ORDINARY_TICKS) : index], default=0.0),

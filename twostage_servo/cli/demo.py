@@ -11,7 +11,9 @@ from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, not
 from twostage_servo.cli.typed_numbers import decimal
 
 if TYPE_CHECKING:
-    from twostage_servo.app.demonstration import Sample
+    from collections.abc import Sequence
+
+    from twostage_servo.app.demonstration import TracedTick
 
 
 _PATIENCE = (
@@ -46,7 +48,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 def _demo(options: argparse.Namespace) -> ExitCode:
     import asyncio
 
-    from twostage_servo.app.demonstration import Sample, demonstrate
+    from twostage_servo.app.demonstration import TRACE_FIELDS, demonstrate, trace_row
     from twostage_servo.service.log import open_log
     from twostage_servo.timing.ticks import real_time_loop
     from twostage_servo.timing.virtual_clock import VirtualClockLoop
@@ -55,7 +57,7 @@ def _demo(options: argparse.Namespace) -> ExitCode:
         options.overrides = [*_PATIENCE, *options.overrides]
     loaded = load_configuration(options)
     if options.trace is not None:
-        _write_trace(options.trace, Sample._fields, [])  # a path that cannot be written is told before the move
+        _write_trace(options.trace, [TRACE_FIELDS])  # a path that cannot be written is told before the move
     level = loaded.config.service.log_level
     writer = open_log("debug" if level == "debug" else "critical")  # a trip stands in the summary
     progress = Progress(quiet=options.json or options.fast)
@@ -75,7 +77,7 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     if demo.refused is not None:
         raise CommandError(ExitCode.USAGE, demo.refused.code, str(demo.refused))
     if options.trace is not None:
-        _write_trace(options.trace, Sample._fields, demo.samples)
+        _write_trace(options.trace, [TRACE_FIELDS, *map(trace_row, demo.samples)])
         note(f"{len(demo.samples)} ticks written to {options.trace}")
     result = demo.result()
     if options.json:
@@ -85,16 +87,16 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE if demo.failure is None else ExitCode.FAILED
 
 
-def _show(progress: Progress, unit: str, share: float, sample: "Sample") -> None:
+def _show(progress: Progress, unit: str, share: float, tick: "TracedTick") -> None:
     progress.show(
-        f"{bar(share)} {sample.true_position:9.2f} {unit} {sample.true_velocity:8.1f} {unit}/s  {sample.state}"
+        f"{bar(share)} {tick.true_position:9.2f} {unit} {tick.true_velocity:8.1f} {unit}/s  {tick.sample.state}"
     )
 
 
-def _write_trace(path: Path, fields: tuple[str, ...], samples: "list[Sample]") -> None:
+def _write_trace(path: Path, rows: "Sequence[Sequence[Any]]") -> None:
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows([fields, *samples])
+            csv.writer(file).writerows(rows)
     except OSError as error:
         raise CommandError(ExitCode.FAILED, "trace", f"the trace cannot be written: {error}") from error
 

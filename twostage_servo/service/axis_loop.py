@@ -14,7 +14,8 @@ from twostage_servo.drives.drive import Decoder, Drive
 from twostage_servo.drives.start_up import StartUp
 from twostage_servo.service.bus_connection import BusConnection, Subscriber
 from twostage_servo.service.receiver import Receiver
-from twostage_servo.telemetry.recorder import Record, Recorder
+from twostage_servo.telemetry.recorder import Recorder
+from twostage_servo.telemetry.sample import Sample
 from twostage_servo.timing.histogram import TimeHistogram
 from twostage_servo.timing.ticks import Tick
 
@@ -48,6 +49,8 @@ class AxisLoop:
         The last ticks.
     command
         What the axis decided on in this tick.
+    sample
+        The newest tick that was recorded; None before the first.
     feedback_to_command
         How long it took from a feedback's arrival until the command that used it left, where the bus dates its frames.
     """
@@ -58,8 +61,10 @@ class AxisLoop:
         self.bus = bus
         self.start_up = StartUp(drive.start_up, period_s)
         self.receiver = Receiver(drive.traits, drive.feedback_id.identifier, period_s)
-        self.recorder = Recorder(max(1, round(recording_s / period_s)))
+        self.recorder = Recorder(max(1, round(recording_s / period_s)), period_s)
         self.command: Command = NO_EFFORT
+        self.sample: Sample | None = None
+        self._period_s = period_s
         self.feedback_to_command = TimeHistogram()
         self._frames: list[can.Message] = []
         self._missed = 0
@@ -118,13 +123,12 @@ class AxisLoop:
     def record(self, tick: Tick) -> None:
         """Record the tick."""
         axis, estimate = self.axis, self.axis.estimate
-        self.recorder.add(
-            Record(
-                tick.index, tick.missed, 1e6 * tick.lateness_s, axis.state, axis.drive.position, estimate.position,
-                estimate.velocity, estimate.disturbance, self.command.effort, axis.set_point,
-                axis.speed_reference, axis.following_error,
-            )
+        self.sample = sample = Sample(
+            tick.index, tick.missed, 1e6 * tick.lateness_s, axis.state, axis.drive.position, estimate.position,
+            estimate.velocity, estimate.disturbance, self.command.effort, axis.set_point, axis.speed_reference,
+            axis.following_error, tick.index * self._period_s,
         )  # fmt: skip
+        self.recorder.add(sample)
 
     def _take(self, decode: Decoder, message: can.Message) -> None:
         """Take a frame of the drive, or one that only the drive should have received."""

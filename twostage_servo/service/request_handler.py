@@ -32,7 +32,7 @@ from twostage_servo.service.reload import Reload
 from twostage_servo.service.request_age import RequestAge
 from twostage_servo.service.shutdown import Shutdown
 from twostage_servo.service.status_lines import StatusLines
-from twostage_servo.telemetry.recorder import Record
+from twostage_servo.telemetry.sample import FIELDS
 
 _IN_MOTION: Final = MOVING | BRAKING | {State.JOGGING, State.HOMING}
 _NEVER_TOO_LATE: Final = (StopRequest, DisarmRequest, ReleaseRequest)
@@ -189,7 +189,7 @@ class RequestHandler:
             if not isinstance(request, READING):
                 self.carry_out(request, addressed, client)
             if isinstance(request, RecordingRequest):
-                return {"fields": Record._fields, "records": self._commands.only(addressed).recorder.records()}
+                return {"fields": FIELDS, "records": self._commands.only(addressed).recorder.records()}
             return self.status.report.snapshot(addressed)
         except Refused:
             raise
@@ -293,7 +293,7 @@ class RequestHandler:
 
     def _told(self, request: Request, addressed: Sequence[AxisLoop], axis_loop: AxisLoop | None) -> Iterator[bytes]:
         if isinstance(request, RecordingRequest):
-            return answers.recording(Record._fields, self._commands.only(addressed).recorder.records())
+            return answers.recording(FIELDS, self._commands.only(addressed).recorder.records())
         return self.status.line(axis_loop, _OK)
 
     def _refusal(self, request: Request, asker: Asker, error: Refused) -> Reply:

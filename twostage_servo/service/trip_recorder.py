@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import structlog
 
 from twostage_servo.service.axis_loop import AxisLoop
-from twostage_servo.telemetry.recorder import Record
+from twostage_servo.telemetry.sample import FIELDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -56,7 +56,7 @@ class TripRecorder:
         self._trip = trip
 
     def _document(self) -> dict[str, Any]:
-        return {"snapshot": self._snapshot(self._axis_loop), "fields": Record._fields}
+        return {"snapshot": self._snapshot(self._axis_loop), "fields": FIELDS}
 
     def _keep(self, trip: "Trip") -> None:
         """Keep the last ticks; for want of memory without them, since the axis has to go on."""
