@@ -141,7 +141,7 @@ _SHOWN = (
 
 def _as_text(studies: "Studies", claims: "Sequence[Claim]", report: Path, files: int) -> str:
     from twostage_servo.paper.methods import METHODS
-    from twostage_servo.paper.report import score_text
+    from twostage_servo.paper.report_tables import score_text
 
     lines = []
     for comparison in studies.comparisons:

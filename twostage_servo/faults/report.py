@@ -1,6 +1,5 @@
 """The campaign's result as text, as a table for the docs, and as a page."""
 
-import html
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -8,6 +7,7 @@ from typing import Any
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.runner import Result
 from twostage_servo.faults.table import ALL, BRAKED, MEANINGS, PROCESS_FAULTS, SEARCHING, TABLE
+from twostage_servo.html_pages import page
 
 _NOTES = {fault.name: fault.note for fault in TABLE if fault.note}
 
@@ -139,32 +139,50 @@ def matrix(cells: Sequence[Cell]) -> str:
 
 def as_page(result: Result, seed: int, what: str) -> str:
     """Return a self-contained page: the matrices, each travel drawn against its bound, and what the letters mean."""
-    several = len(result.units) > 1
-    tables = "".join(
-        (f"<h2>Axis {html.escape(axis)}</h2>" if several else "") + _matrix_html(cells, result.units[axis])
-        for axis, cells in by_axis(result)
-    )
     missed = sum(not cell.met for cell in result.cells)
-    legend = "".join(f"<dt class='{key}'>{key}</dt><dd>{html.escape(text)}</dd>" for key, text in MEANINGS.items())
-    missing = "".join(f"<li>{html.escape(line)}</li>" for line in _why_not(result.not_applicable))
-    return _PAGE.format(
-        what=html.escape(what), verdict=f"{len(result.cells) - missed} cells met, {missed} missed", seed=seed,
-        unit=html.escape(", ".join(dict.fromkeys(result.units.values()))), tables=tables,
-        legend=legend, missing=f"<h2>Not applicable</h2><ul>{missing}</ul>" if missing else "",
+    return page(
+        "faults/report.html.jinja",
+        what=what,
+        seed=seed,
+        verdict=f"{len(result.cells) - missed} cells met, {missed} missed",
         state="good" if missed == 0 else "bad",
-    )  # fmt: skip
+        unit=", ".join(dict.fromkeys(result.units.values())),
+        legend=MEANINGS,
+        axes=[_axis_on_page(name, cells, result.units[name]) for name, cells in by_axis(result)],
+        missing=_why_not(result.not_applicable),
+    )
 
 
-def _matrix_html(cells: Sequence[Cell], unit: str) -> str:
+def _axis_on_page(name: str, cells: Sequence[Cell], unit: str) -> dict[str, Any]:
+    """Return what the page shows of one axis."""
     phases = _columns(cells)
-    header = "".join(f"<th>{phase}</th>" for phase in phases)
-    body = []
-    for number, name, by_phase in rows(cells):
-        columns = "".join(_cell_html(by_phase.get(phase), unit) for phase in phases)
-        note = f"<small>{html.escape(_NOTES[name])}</small>" if name in _NOTES else ""
-        body.append(f"<tr><th>{number}</th><th>{html.escape(name)}{note}</th>{columns}</tr>")
-    head = f"<thead><tr><th></th><th>fault</th>{header}</tr></thead>"
-    return f'<div class="scroll"><table>{head}<tbody>{"".join(body)}</tbody></table></div>'
+    return {
+        "name": name,
+        "phases": phases,
+        "rows": [
+            {
+                "number": number,
+                "name": fault,
+                "note": _NOTES.get(fault, ""),
+                "cells": [_cell_on_page(by_phase.get(phase), unit) for phase in phases],
+            }
+            for number, fault, by_phase in rows(cells)
+        ],
+    }
+
+
+def _cell_on_page(cell: Cell | None, unit: str) -> dict[str, Any] | None:
+    if cell is None:
+        return None
+    share = min(1.0, cell.travel / cell.bound) if cell.bound > 0.0 else float(cell.travel > 0.0)
+    return {
+        "met": cell.met,
+        "observed": cell.observed,
+        "title": describe(cell, unit),
+        "travel": _plain(cell.travel),
+        "bound": _plain(cell.bound),
+        "percent": f"{100.0 * share:.0f}",
+    }
 
 
 def _columns(cells: Sequence[Cell]) -> list[str]:
@@ -217,48 +235,3 @@ def _digits_below_1(distance: float) -> int:
 
 def _finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
-
-
-def _cell_html(cell: Cell | None, unit: str) -> str:
-    if cell is None:
-        return "<td class='none'></td>"
-    share = min(1.0, cell.travel / cell.bound) if cell.bound > 0.0 else float(cell.travel > 0.0)
-    title = html.escape(describe(cell, unit), quote=True)
-    return (
-        f"<td class='{'' if cell.met else 'missed'}' title='{title}'><b class='{cell.observed}'>{cell.observed}</b>"
-        f"<span>{_plain(cell.travel)} / {_plain(cell.bound)}</span>"
-        f"<i><u style='width:{100.0 * share:.0f}%'></u></i></td>"
-    )
-
-
-_PAGE = """<!doctype html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
-<title>Fault campaign</title>
-<style>
-body {{ font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 76rem; padding: 0 1rem; color: #1c2330; }}
-table {{ border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }}
-th, td {{ border-bottom: 1px solid #dde2ea; padding: .3rem .5rem; text-align: left; vertical-align: top; }}
-thead th {{ position: sticky; top: 0; background: #fff; }}
-td span {{ margin-left: .4rem; color: #4a5568; white-space: nowrap; }}
-td i {{ display: block; height: 4px; margin-top: 3px; background: #edf0f5; border-radius: 2px; }}
-td u {{ display: block; height: 4px; background: #6b7a90; border-radius: 2px; }}
-td.missed {{ background: #fde8e8; }} td.missed u {{ background: #c53030; }}
-small {{ display: block; font-weight: normal; color: #66707f; }}
-th {{ font-weight: 600; }}
-b, dt {{ display: inline-block; min-width: 1.3em; text-align: center; border-radius: 3px; color: #fff; }}
-.T {{ background: #2f855a; }} .R {{ background: #4a5568; }} .H {{ background: #2b6cb0; }} .S {{ background: #6b46c1; }}
-.Q {{ background: #b7791f; }} .Z {{ background: #9b2c2c; }}
-dl {{ display: grid; grid-template-columns: max-content 1fr; gap: .25rem .7rem; }} dd {{ margin: 0; }}
-.good {{ color: #2f855a; }} .bad {{ color: #c53030; }}
-.scroll {{ overflow-x: auto; }}
-</style></head><body>
-<h1>Fault campaign</h1>
-<p>{what}. Seed {seed}. <strong class="{state}">{verdict}.</strong></p>
-<p>Each cell is one run of the service in simulated time: what it did, and how far the axis travelled after the fault
-against the largest distance that the limits allow, in {unit}. Where a fault is tolerated, the travel is the largest
-distance from the same move without it. Point at a cell for the details.</p>
-<dl>{legend}</dl>
-{tables}
-{missing}
-</body></html>
-"""
