@@ -5,6 +5,8 @@
 
 from typing import TYPE_CHECKING
 
+from twostage_servo.version import __version__
+
 if TYPE_CHECKING:
     from twostage_servo.client.asynchronous import AsyncServoClient, connect_async
     from twostage_servo.client.blocking import ServoClient, connect
@@ -32,8 +34,6 @@ __all__ = [
     "connect",
     "connect_async",
 ]
-
-__version__ = "0.1.0"
 
 _HOMES = {
     "AsyncServoClient": "asynchronous",

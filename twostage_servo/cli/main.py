@@ -9,10 +9,10 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import IO, TextIO
 
-from twostage_servo import __version__
 from twostage_servo.cli import demo, engineer, faults, host, install_service, operate, paper, serve
 from twostage_servo.cli.output import CommandError, ExitCode, note, print_json
 from twostage_servo.printable import printable
+from twostage_servo.version import __version__
 
 _EPILOG = """\
 exit codes: 0 done, 1 its output cannot be written, or a defect, 2 bad usage or configuration, 3 the axis tripped or

@@ -9,7 +9,6 @@ from typing import Any
 from latex2mathml.converter import convert
 from markupsafe import Markup, escape
 
-from twostage_servo import __version__
 from twostage_servo.html_pages import page
 from twostage_servo.paper.claims import Claim
 from twostage_servo.paper.equations import PASSAGES, Equation
@@ -33,6 +32,7 @@ from twostage_servo.paper.report_tables import (
     slips_table,
 )
 from twostage_servo.paper.studies import LOAD, Studies
+from twostage_servo.version import __version__
 
 
 def render(

@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
-from twostage_servo import __version__
 from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.status import (
     AxisReport,
@@ -25,6 +24,7 @@ from twostage_servo.api.status import (
 from twostage_servo.axis.state import DRIVEN
 from twostage_servo.service.statistics import times_of
 from twostage_servo.timing.histogram import TimeHistogram
+from twostage_servo.version import __version__
 
 if TYPE_CHECKING:
     from twostage_servo.axis.moves import Move
