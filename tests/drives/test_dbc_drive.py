@@ -11,7 +11,7 @@ from twostage_servo.drives.dbc.drive import DbcDrive
 from twostage_servo.drives.dbc.drive_side import DbcDriveSide
 from twostage_servo.drives.dbc.drive_type import DBC
 from twostage_servo.drives.dbc.settings import ProtocolSettings
-from twostage_servo.drives.frame import FrameRejected, SentFrame
+from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.drives.protocol_error import ProtocolError
 from twostage_servo.drives.registry import DriveType, drive_type
 
@@ -26,9 +26,9 @@ PLAIN = {
 }
 
 
-def received(frame: SentFrame) -> can.Message:
-    number, extended = frame.identifier
-    return can.Message(arbitration_id=number, is_extended_id=extended, data=frame.data)
+def received(frame: tuple[Identifier, bytes]) -> can.Message:
+    (number, extended), data = frame
+    return can.Message(arbitration_id=number, is_extended_id=extended, data=data)
 
 
 def test_it_is_the_type_of_its_entry_point() -> None:
@@ -41,7 +41,7 @@ def test_its_commands_count_up_and_say_what_was_asked_for() -> None:
     one, side = drive(), DBC.side(drive())
     for counter in (1, 2, 3):
         (frame,) = one.encode(Command(-1.5, enable=True))
-        assert frame.identifier == one.command_id
+        assert frame[0] == one.command_id
         assert side.decode(received(frame)) == Command(-1.5, enable=True, counter=counter)
 
 
@@ -93,13 +93,13 @@ def test_it_obeys_its_command_alone_and_needs_no_start() -> None:
 def test_a_command_of_somebody_else_is_read_as_far_as_it_can_be() -> None:
     one, other = drive(), drive()
     foreign = one.decoders[one.command_id]
-    (frame,) = other.encode(Command(3.0, enable=True))
-    text = f"0x201 [{frame.data.hex(' ')}]"
-    assert foreign(received(frame)) == ForeignCommand(text, Command(3.0, enable=True, counter=1))
-    spoilt = received(frame._replace(data=bytes((*frame.data[:-1], frame.data[-1] ^ 1))))
-    assert foreign(spoilt) == ForeignCommand(f"0x201 [{spoilt.data.hex(' ')}]", None, "checksum")
+    ((identifier, data),) = other.encode(Command(3.0, enable=True))
+    text = f"0x201 [{data.hex(' ')}]"
+    assert foreign(received((identifier, data))) == ForeignCommand(text, Command(3.0, enable=True, counter=1))
+    spoilt = bytes((*data[:-1], data[-1] ^ 1))
+    assert foreign(received((identifier, spoilt))) == ForeignCommand(f"0x201 [{spoilt.hex(' ')}]", None, "checksum")
     with pytest.raises(FrameRejected, match="29 bits"):
-        foreign(received(SentFrame(Identifier(0x201, extended=True), frame.data)))
+        foreign(received((Identifier(0x201, extended=True), data)))
 
 
 def test_another_content_of_the_dbc_is_told(tmp_path: Path) -> None:

@@ -1,9 +1,13 @@
 """A drive's start-up, step by step and tick by tick."""
 
+import asyncio
+
 import can
 import pytest
 
+from tests.service.rig import World, simulate
 from twostage_servo.canbus.identifier import Identifier
+from twostage_servo.drives.dbc.drive import DbcDrive
 from twostage_servo.drives.frame import ReceivedFrame, SentFrame
 from twostage_servo.drives.start_up import StartUp, StartUpStep
 
@@ -100,3 +104,25 @@ def test_it_can_be_begun_anew_at_any_time() -> None:
     assert ticks(start_up, 1) == [10]
     start_up.take(frame(21))
     assert not is_done(start_up)
+
+
+def test_a_drive_that_has_booted_is_started_again() -> None:
+    start = SentFrame(Identifier(0, extended=False), b"\1")
+    steps = (StartUpStep((start,), lambda received: received.arbitration_id == 0x701, 0.5, 0, "no heartbeat"),)
+
+    async def script(world: World) -> None:
+        loop = world.axis_loop
+        assert isinstance(loop.drive, DbcDrive)
+        loop.drive.start_up, loop.start_up = steps, StartUp(steps, PERIOD_S)
+        await world.until(lambda: loop.start_up.is_done)
+        await world.seconds(0.5)
+        assert started(world) == [b"\1"]
+        world.drive.reboot(asyncio.get_running_loop().time(), 0.05)
+        await world.seconds(0.5)
+        assert started(world) == [b"\1", b"\1"]
+        assert loop.start_up.is_done
+
+    def started(world: World) -> list[bytes]:
+        return [data for _, _, number, data in world.trace if number == 0]
+
+    simulate(script)

@@ -57,8 +57,10 @@ class Drive(Protocol):
     def dead_host(self) -> str:
         """By which time-out the drive stops when the controller has died, and how it is set: ends a sentence."""
 
-    def encode(self, command: Command) -> Sequence[SentFrame]:
-        """Make the frames of a command, the same ones in every tick; an effort beyond the signal is saturated.
+    def encode(self, command: Command) -> Sequence[tuple[Identifier, bytes]]:
+        """Make the frames of a command: pairs as in :class:`~twostage_servo.drives.frame.SentFrame`, for every tick.
+
+        An effort beyond what its signal carries is saturated.
 
         Raises
         ------

@@ -69,6 +69,7 @@ class AxisLoop:
         self._frames: list[can.Message] = []
         self._missed = 0
         self._start_up_failure = ""
+        self._boots = 0
         self._sent_s: float | None = None
         self._dropped_in_a_row = 0
         receivers = {
@@ -102,12 +103,12 @@ class AxisLoop:
         if self.axis.state not in ENABLED:  # another axis has tripped since this one decided
             self.command = NO_EFFORT
         self._frames = self._prepared(self.command)
-        if not self.start_up.is_done:
+        if self.drive.start_up:
             self._frames = self._start_up_frames() + self._frames
 
     def write(self, tick: Tick) -> None:
         """Send the newest command; one that the bus cannot take now is dropped, never kept."""
-        sent = self._send(tick.index, self._frames)
+        sent = self.bus.send(tick.index, self._frames)
         if sent is None:
             return
         self._sent_s = asyncio.get_running_loop().time() if sent else None
@@ -149,7 +150,7 @@ class AxisLoop:
 
     def disable_drive(self, tick_index: int) -> None:
         """Tell the drive to disable, as the last thing before the service ends."""
-        if self._send(tick_index, self._prepared(NO_EFFORT)) is not True:
+        if self.bus.send(tick_index, self._prepared(NO_EFFORT)) is not True:
             text = "the drive could not be told to disable; its own time-out has to stop it"
             structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus takes no frame")
 
@@ -167,16 +168,11 @@ class AxisLoop:
         prepare = self.bus.link.prepare
         return [prepare(identifier, data) for identifier, data in self.drive.encode(command)]
 
-    def _send(self, tick_index: int, frames: list[can.Message]) -> bool | None:
-        """Send frames in their order; return what the bus says to the first that it does not take, else True."""
-        for frame in frames:
-            sent = self.bus.send(tick_index, frame)
-            if not sent:
-                return sent
-        return True
-
     def _start_up_frames(self) -> list[can.Message]:
-        """Go on with the drive's start-up by a tick."""
+        """Go on with the drive's start-up by a tick; one that has booted needs it anew."""
+        if self.axis.drive.boots != self._boots:
+            self._boots = self.axis.drive.boots
+            self.start_up.restart()
         frames = self.start_up.frames(self._missed)
         if self.start_up.failure != self._start_up_failure:
             self._start_up_failure = self.start_up.failure

@@ -2,7 +2,7 @@
 
 import asyncio
 import errno
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import can
@@ -117,19 +117,27 @@ class BusConnection:
                 observe(tick.index, "received", message.arbitration_id, bytes(message.data))
             self._receivers[message.arbitration_id](message)
 
-    def send(self, tick_index: int, message: can.Message) -> bool | None:
-        """Send a frame of :meth:`Link.prepare`; return whether the bus has taken it, or None if the bus is gone."""
+    def send(self, tick_index: int, messages: Iterable[can.Message]) -> bool | None:
+        """Send frames of :meth:`Link.prepare`, up to the first that the bus does not take.
+
+        Returns
+        -------
+        bool or None
+            Whether it has taken all of them; None if the bus is gone.
+        """
         if self.error is not None:
             return None
-        try:
-            sent = self.link.send(message)
-        except LinkError as error:
-            self._lose(error)
-            return None
-        if sent:
+        for message in messages:
+            try:
+                sent = self.link.send(message)
+            except LinkError as error:
+                self._lose(error)
+                return None
+            if not sent:
+                return False
             for observe in self._observers:
                 observe(tick_index, "sent", message.arbitration_id, bytes(message.data))
-        return sent
+        return True
 
     def look_after(self, tick: Tick) -> None:
         """Tell the log what has changed; once a second, look after the bus and tell what was rejected or lost."""

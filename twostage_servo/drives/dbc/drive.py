@@ -1,6 +1,6 @@
 """A drive whose frames a DBC file describes, from the controller's end."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from twostage_servo.axis.messages import Command, Feedback, ForeignCommand, Heartbeat
@@ -8,8 +8,10 @@ from twostage_servo.canbus.bus_load import CyclicFrame
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.drive import Decoder
-from twostage_servo.drives.frame import FrameRejected, ReceivedFrame, SentFrame
+from twostage_servo.drives.frame import FrameRejected, ReceivedFrame
+from twostage_servo.drives.start_up import StartUpStep
 
+_NO_START_UP: Final[Sequence[StartUpStep]] = ()
 _DEAD_HOST: Final = "by its command time-out, which no DBC describes; set it in the drive"
 
 
@@ -35,12 +37,13 @@ class DbcDrive:
         self.feedback_id = profile.feedback_id
         self.command_id = profile.command_id
         self.obeyed = (profile.command_id,)
-        self.start_up = ()
+        self.start_up = _NO_START_UP
         self.dead_host = _DEAD_HOST
         self.decoders = self._decoders()
+        self._encode_command = profile.encode_command
         self._counter = 0
 
-    def encode(self, command: Command) -> tuple[SentFrame, ...]:
+    def encode(self, command: Command) -> tuple[tuple[Identifier, bytes], ...]:
         """Make the frame of a command.
 
         Raises
@@ -48,9 +51,9 @@ class DbcDrive:
         ValueError
             When the effort is not finite.
         """
-        self._counter += 1
-        data = self.profile.encode_command(command.effort, command.enable, self._counter)
-        return (SentFrame(self.command_id, data),)
+        effort, enable, _ = command
+        self._counter = counter = self._counter + 1
+        return ((self.command_id, self._encode_command(effort, enable, counter)),)
 
     def cyclic_frames(self, tick_s: float, heartbeat_s: float) -> list[CyclicFrame]:
         """Return the command, the feedback (each tick, whatever its rhythm), and the heartbeat."""
