@@ -295,6 +295,7 @@ def test_a_child_whose_start_is_interrupted_is_ended(monkeypatch: pytest.MonkeyP
 def test_damage_is_found(tmp_path: Path) -> None:
     assert power_cut.damaged(tmp_path) == ["there is no file at all"]
     document, records = power_cut.content(3)
+    document["snapshot"]["trip"]["file"] = str(tmp_path / "a.json")
     whole = json.dumps(document | {"records": records})
     (tmp_path / "a.json").write_text(whole)
     (tmp_path / "b.part").write_text(whole[:100])

@@ -18,7 +18,8 @@ from tests.service.operators import STATUS, call, connect, read_all, serve
 from tests.service.rig import World
 from twostage_servo.axis.state import State
 from twostage_servo.service.background_server import Priority
-from twostage_servo.service.control_socket import ControlSocket, _Door
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.listening_socket import ListeningSocket
 
 
 def descriptors() -> int:
@@ -40,9 +41,9 @@ def test_half_closed_clients_that_do_not_read_are_no_more_than_others(
             await world.seconds(0.03)
             most = max(most, descriptors() - before - number)
         assert most <= 64
-        assert len(control._connections) <= 64
-        assert len(control._serving) <= 64
-        assert sum(len(one._outgoing) for one in control._connections) <= 64
+        assert len(control._sessions._connections) <= 64
+        assert len(control._sessions._serving) <= 64
+        assert sum(len(one._outgoing) for one in control._sessions._connections) <= 64
         assert world.service.statistics.missed == 0
         assert (await (await connect(path)).ask(op="stop"))["axis"]["state"] == "stopping"
         assert (await operator.ask(op="status"))["ok"]  # who commands never has to make room
@@ -62,8 +63,8 @@ def test_the_end_waits_for_no_client(path: Path, callers: contextlib.ExitStack, 
         begun_s = loop.time()
         await control.stop()
         assert loop.time() == begun_s
-        assert not control._serving
-        assert not len(control._connections)
+        assert not control._sessions._serving
+        assert not len(control._sessions._connections)
 
     serve(path, script)
 
@@ -75,7 +76,7 @@ def test_a_half_closed_client_that_reads_gets_all_of_its_answers(path: Path, cal
         answers = await read_all(caller)
         assert len(answers) == 300
         assert all(answer["ok"] for answer in answers)
-        assert not len(control._connections)
+        assert not len(control._sessions._connections)
 
     serve(path, script)
 
@@ -93,14 +94,14 @@ def test_who_sends_no_more_has_a_second_to_take_the_rest(path: Path, callers: co
     async def script(world: World, control: ControlSocket) -> None:
         caller = await call(callers, path, b'{"op": "recording"}\n')
         await world.seconds(0.1)
-        (connection,) = control._connections
+        (connection,) = control._sessions._connections
         for _ in range(100):
             connection.write(b"x" * 10_000)
         caller.shutdown(socket.SHUT_WR)
         await world.seconds(0.9)
-        assert connection in control._connections
+        assert connection in control._sessions._connections
         await world.seconds(0.3)
-        assert not len(control._connections)
+        assert not len(control._sessions._connections)
         assert connection.closed
 
     serve(path, script)
@@ -114,12 +115,12 @@ def test_who_has_hung_up_makes_room_before_anybody_else(path: Path, callers: con
             await (await connect(path)).done(op="status")
         leaving = await call(callers, path, b'{"op": "recording"}\n')
         await world.seconds(0.1)
-        last = next(one for one in control._connections if one.peer.endswith("#64"))
+        last = next(one for one in control._sessions._connections if one.peer.endswith("#64"))
         for _ in range(100):
             last.write(b"x" * 10_000)
         leaving.shutdown(socket.SHUT_WR)
         await world.seconds(0.05)
-        assert len(control._connections) == 64
+        assert len(control._sessions._connections) == 64
         await (await connect(path)).done(op="status")
         assert last.closed
         await first.done(op="status")
@@ -134,14 +135,14 @@ def test_without_descriptors_the_one_that_matters_least_makes_room_at_once(
         idle, other = await connect(path), await connect(path)
         await idle.done(op="status")
         await other.done(op="status")
-        accept, none_left = _Door.accept, [OSError(errno.EMFILE, "Too many open files")]
+        accept, none_left = ListeningSocket.accept, [OSError(errno.EMFILE, "Too many open files")]
 
-        def exhausted(door: _Door) -> object:
+        def exhausted(door: ListeningSocket) -> object:
             if none_left:
                 raise none_left.pop()
             return accept(door)
 
-        monkeypatch.setattr(_Door, "accept", exhausted)
+        monkeypatch.setattr(ListeningSocket, "accept", exhausted)
         await (await connect(path)).done(op="disarm")
         assert (await idle.answer())["error"]["code"] == "too_many_clients"
         await other.done(op="status")
@@ -156,11 +157,11 @@ def test_who_has_asked_for_something_that_is_not_read_yet_is_not_idle(path: Path
         first, other = await connect(path), await connect(path)
         for client in (first, other):
             await client.done(op="status")
-        idle_for_longest, idle = control._connections
+        idle_for_longest, idle = control._sessions._connections
         first.writer.write(b'{"op": "status"}\n')  # in the kernel; nobody has looked
-        assert control._make_room()
-        assert idle_for_longest in control._connections
-        assert idle not in control._connections
+        assert control._sessions.make_room()
+        assert idle_for_longest in control._sessions._connections
+        assert idle not in control._sessions._connections
         assert (await first.answer())["ok"]
         assert (await other.answer())["error"]["code"] == "too_many_clients"
 
@@ -190,8 +191,8 @@ def test_a_stop_that_was_read_is_carried_out_though_its_connection_has_to_make_r
             stopping.writer.write(b'{"op": "stop"}\n')
             await world.seconds(0.05)
             assert world.state() is not State.STOPPING
-            while any(connection.urgent is not None for connection in control._connections):
-                control._make_room()
+            while any(connection.urgent is not None for connection in control._sessions._connections):
+                control._sessions.make_room()
         assert world.state() is State.STOPPING
 
     serve(path, script)
@@ -228,16 +229,16 @@ def test_whatever_clients_do_the_budget_holds_and_nothing_is_left(tmp_path: Path
                     one.close()
             if rng.random() < 0.3:
                 await world.seconds(rng.choice((0.0, 0.01, 0.2)))
-            assert len(control._connections) <= 64
-            assert len(control._serving) <= 64 + 16  # those who were let in in this turn and have made room in it
+            assert len(control._sessions._connections) <= 64
+            assert len(control._sessions._serving) <= 64 + 16  # in this turn let in, and gone again
         newcomer = await connect(path)
         assert await newcomer.ask(op="disarm")
         newcomer.die()
         for caller in open_ones:
             caller.close()
         await world.seconds(2.0)
-        assert not len(control._connections)
-        assert not control._serving
+        assert not len(control._sessions._connections)
+        assert not control._sessions._serving
         assert descriptors() <= before
         assert world.service.shutdown.failure is None
         assert world.service.statistics.missed == 0

@@ -28,7 +28,8 @@ from twostage_servo.axis.state import State
 from twostage_servo.service import answers
 from twostage_servo.service.answers import encode
 from twostage_servo.service.background_server import Priority
-from twostage_servo.service.control_socket import ControlSocket, SocketInUseError, _Door
+from twostage_servo.service.control_socket import ControlSocket, SocketInUseError
+from twostage_servo.service.listening_socket import ListeningSocket
 from twostage_servo.service.request_handler import Asker, Reply
 from twostage_servo.telemetry.recorder import Recorder
 from twostage_servo.telemetry.sample import FIELDS
@@ -145,7 +146,7 @@ def test_a_watcher_that_never_reads_is_bounded_and_delays_nothing(path: Path) ->
         await watcher.ask(op="watch", every=1)
         watcher.writer.transport.pause_reading()  # type: ignore[attr-defined]
         await world.seconds(30.0)
-        (client,) = control._connections
+        (client,) = control._sessions._connections
         assert client.unsent > 1000
         assert len(client._outgoing) == 1
         assert world.service.statistics.missed == 0
@@ -157,7 +158,8 @@ def test_a_watcher_that_never_reads_is_bounded_and_delays_nothing(path: Path) ->
 def test_of_many_that_connect_at_once_some_are_let_in_between_two_looks_at_the_clock(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
         callers = [socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) for _ in range(30)]
-        newcomers = control._newcomers
+        assert control._admission is not None
+        newcomers = control._admission.newcomers
         assert newcomers is not None
         try:
             for caller in callers:
@@ -173,7 +175,7 @@ def test_of_many_that_connect_at_once_some_are_let_in_between_two_looks_at_the_c
             for caller in callers:
                 caller.close()
         await world.seconds(0.01)
-        assert not control._connections
+        assert not control._sessions._connections
 
     serve(path, script)
 
@@ -184,7 +186,7 @@ def test_clients_are_let_in_when_it_is_their_turn(path: Path) -> None:
             newcomer = await connect(path)
             asking = asyncio.create_task(newcomer.ask(op="status"))
             await world.seconds(0.005)
-            assert not control._connections
+            assert not control._sessions._connections
         assert (await asking)["ok"]
 
     serve(path, script)
@@ -192,14 +194,17 @@ def test_clients_are_let_in_when_it_is_their_turn(path: Path) -> None:
 
 def test_who_cannot_be_let_in_is_told_to_the_log_and_let_in_later(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def script(world: World, __: ControlSocket) -> None:
-        accept, full = _Door.accept, [RuntimeError("a defect"), *[OSError(errno.EMFILE, "Too many open files")] * 2]
+        accept, full = (
+            ListeningSocket.accept,
+            [RuntimeError("a defect"), *[OSError(errno.EMFILE, "Too many open files")] * 2],
+        )
 
-        def sometimes(door: _Door) -> object:
+        def sometimes(door: ListeningSocket) -> object:
             if full:
                 raise full.pop()
             return accept(door)
 
-        monkeypatch.setattr(_Door, "accept", sometimes)
+        monkeypatch.setattr(ListeningSocket, "accept", sometimes)
         asking = asyncio.create_task((await connect(path)).ask(op="status"))
         await world.seconds(2.9)
         assert not asking.done()
@@ -245,10 +250,10 @@ def test_idle_clients_make_room_for_whoever_wants_to_stop(path: Path) -> None:
             assert (await client.answer())["error"]["code"] == "too_many_clients"
             assert await client.reader.read() == b""
         await world.seconds(0.1)
-        assert len(control._connections) == 64
+        assert len(control._sessions._connections) == 64
         assert world.requests.authority.holder is not None  # the operator has not gone
         assert (await idle[0].ask(op="status"))["ok"]
-        assert any(client.every for client in control._connections)  # nor has the watcher, who reads
+        assert any(client.every for client in control._sessions._connections)  # nor has the watcher, who reads
 
     serve(path, script)
 
@@ -268,7 +273,7 @@ def test_a_client_that_was_told_to_go_moves_nothing_but_may_stop(path: Path, op:
         async def late_turn(rank: Priority) -> AsyncIterator[None]:
             async with turn(rank):
                 if rank is not Priority.READING:
-                    control._make_room()  # while it waited for its turn
+                    control._sessions.make_room()  # while it waited for its turn
                 yield
 
         with pytest.MonkeyPatch.context() as patch:
@@ -285,13 +290,13 @@ def test_a_watcher_that_never_reads_makes_room_as_well(path: Path) -> None:
     async def script(world: World, control: ControlSocket) -> None:
         watcher = await connect(path)
         assert (await watcher.ask(op="watch", every=1))["ok"]
-        (client,) = control._connections
+        (client,) = control._sessions._connections
         await world.until(lambda: client.unsent > 0)
         for _ in range(64):
             assert (await (await connect(path)).ask(op="status"))["ok"]
         await world.seconds(0.1)
-        assert client not in control._connections
-        assert len(control._serving) == 64  # nothing waits for it to read
+        assert client not in control._sessions._connections
+        assert len(control._sessions._serving) == 64  # nothing waits for it to read
 
     serve(path, script)
 
@@ -390,14 +395,14 @@ def test_a_flood_of_requests_does_not_hold_up_the_tick(path: Path) -> None:
 
     async def script(world: World, control: ControlSocket) -> None:
         served = 0
-        handle = control._handler.answer
+        handle = control._sessions._requests.answer
 
         def count(request: Request, asker: Asker) -> Reply:
             nonlocal served
             served += 1
             return handle(request, asker)
 
-        control._handler.answer = count  # type: ignore[method-assign]
+        control._sessions._requests.answer = count  # type: ignore[method-assign]
         operator = await connect(path)
         operator.writer.write(b'{"op": "status"}\n' * 1000)
         seen = []

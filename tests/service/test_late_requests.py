@@ -16,7 +16,8 @@ from tests.service.operators import Json, connect, serve
 from tests.service.rig import World
 from twostage_servo.axis.state import State
 from twostage_servo.service.background_server import Priority
-from twostage_servo.service.control_socket import _BACKLOG, ControlSocket, _Door
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.listening_socket import BACKLOG, ListeningSocket
 from twostage_servo.service.request_age import RequestAge, time_asleep_s
 from twostage_servo.timing.virtual_clock import VirtualClockLoop, run
 
@@ -238,8 +239,8 @@ def test_in_a_queue_that_is_never_empty_nobody_is_older_than_those_let_in_one_qu
         listener = callers.enter_context(socket.socket(socket.AF_UNIX))
         listener.bind(str(path))
         listener.setblocking(False)
-        listener.listen(_BACKLOG)
-        door, now_s = _Door(listener, RequestAge(0.01)), asyncio.get_running_loop().time
+        listener.listen(BACKLOG)
+        door, now_s = ListeningSocket(listener, RequestAge(0.01)), asyncio.get_running_loop().time
         queue: deque[float] = deque()
         for _ in range(300):
             with contextlib.suppress(BlockingIOError):
@@ -252,7 +253,7 @@ def test_in_a_queue_that_is_never_empty_nobody_is_older_than_those_let_in_one_qu
             callers.enter_context(accepted[0])
             age_s, came_s = now_s() - accepted[1], queue.popleft()
             assert accepted[1] <= came_s
-            assert age_s <= 0.01 * (_BACKLOG + 3)
+            assert age_s <= 0.01 * (BACKLOG + 3)
         while accepted is not None:
             callers.enter_context(accepted[0])
             accepted = door.accept()

@@ -15,7 +15,8 @@ from tests.service.rig import BUS, World, simulate
 from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.canbus.link import Link, LinkError
 from twostage_servo.service.bus_connection import BusConnection
-from twostage_servo.service.control_socket import ControlSocket, _Door
+from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.service.listening_socket import ListeningSocket
 from twostage_servo.telemetry.trip_files import TripFiles
 from twostage_servo.timing.ticks import Tick
 
@@ -213,7 +214,7 @@ def test_who_had_to_make_room_and_who_was_lost_is_told_by_process_and_user(tmp_p
         first = await connect(path)
         await first.done(op="status")
         await (await connect(path)).done(op="status")
-        assert control._make_room()
+        assert control._sessions.make_room()
         await world.seconds(0.1)
 
     with structlog.testing.capture_logs() as logs:
@@ -235,7 +236,7 @@ def test_who_could_not_be_served_is_told_with_the_defect(tmp_path: Path, monkeyp
 
         operator = await connect(path)
         with monkeypatch.context() as patch:
-            patch.setattr(control._handler, "answer", broken)
+            patch.setattr(control._sessions._requests, "answer", broken)
             operator.writer.write(b'{"op": "status"}\n')
             assert await operator.reader.read() == b""
         await (await connect(path)).done(op="status")
@@ -255,14 +256,14 @@ def test_that_nobody_can_be_let_in_is_told_with_the_time_until_the_next_attempt(
     path = tmp_path / "control.sock"
 
     async def script(_: World, __: ControlSocket) -> None:
-        accept, full = _Door.accept, [OSError(errno.EPERM, "Operation not permitted")]
+        accept, full = ListeningSocket.accept, [OSError(errno.EPERM, "Operation not permitted")]
 
-        def sometimes(door: _Door) -> object:
+        def sometimes(door: ListeningSocket) -> object:
             if full:
                 raise full.pop()
             return accept(door)
 
-        monkeypatch.setattr(_Door, "accept", sometimes)
+        monkeypatch.setattr(ListeningSocket, "accept", sometimes)
         await (await connect(path)).done(op="status")
 
     with structlog.testing.capture_logs() as logs:

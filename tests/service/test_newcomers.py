@@ -92,8 +92,9 @@ def test_a_fresh_client_has_its_fair_chance_beside_a_crowd_that_only_connects(
             late = await call(callers, path, STOP)
             late.shutdown(socket.SHUT_WR)
             assert [answer["ok"] for answer in await read_all(late)] == [True]
-        assert control._newcomers is not None
-        assert len(control._newcomers) == 128
+        assert control._admission is not None
+        assert control._admission.newcomers is not None
+        assert len(control._admission.newcomers) == 128
         assert (await operator.ask(op="status"))["ok"]  # those who say nothing push nobody out who has
 
     serve(path, script)
@@ -106,8 +107,8 @@ def test_what_an_idle_client_has_just_said_is_read_before_it_would_have_to_make_
         for operator in (one, other):
             await operator.done(op="status")
         one.writer.write(STOP)
-        assert control._make_room()  # the one who released
-        assert control._make_room()
+        assert control._sessions.make_room()  # the one who released
+        assert control._sessions.make_room()
         assert (await one.answer())["ok"]
         assert world.state() is State.STOPPING
         assert (await other.answer())["error"]["code"] == "too_many_clients"
@@ -121,12 +122,12 @@ def test_a_stop_is_carried_out_where_everybody_has_just_said_something(path: Pat
         operators = [await connect(path) for _ in range(6)]
         for operator in operators:
             await operator.done(op="status")
-        while len(control._connections) > 6:
-            control._make_room()
+        while len(control._sessions._connections) > 6:
+            control._sessions.make_room()
         for operator in operators:
             operator.writer.write(STOP if operator is operators[4] else STATUS)
-        while len(control._connections):
-            control._make_room()
+        while len(control._sessions._connections):
+            control._sessions.make_room()
         assert world.state() is State.STOPPING
 
     serve(path, script)
@@ -141,8 +142,9 @@ def test_a_stop_goes_before_all_who_wait_for_a_place(
         for other in others:
             await other.done(op="status")
         there_is_time = asyncio.Event()
-        monkeypatch.setattr(control, "_admit_some", lambda _: None)
-        monkeypatch.setattr(control._newcomers, "somebody_waits", there_is_time.wait)
+        assert control._admission is not None
+        monkeypatch.setattr(control._admission, "_admit_some", lambda: None)
+        monkeypatch.setattr(control._admission.newcomers, "somebody_waits", there_is_time.wait)
         waiting = [await call(callers, path, STATUS) for _ in range(40)]
         stopping = await connect(path)
         assert (await stopping.ask(op="stop"))["axis"]["state"] == "stopping"
@@ -166,7 +168,7 @@ def test_a_client_that_has_been_let_in_says_half_a_line_and_then_the_rest(
     async def script(world: World, control: ControlSocket) -> None:
         one = await call(callers, path, STATUS[:5])
         await world.seconds(0.1)
-        assert not len(control._connections)
+        assert not len(control._sessions._connections)
         await call(callers, path, b"x" * 5000)  # which is too long
         one.send(STATUS[5:])
         one.shutdown(socket.SHUT_WR)
@@ -183,13 +185,13 @@ def test_what_a_client_that_has_gone_only_wanted_to_know_is_dropped_at_once(
         await (await moving(path, world)).done(op="release")
         await world.seconds(1.0)
         told: list[Request] = []
-        answer = control._handler.answer
+        answer = control._sessions._requests.answer
 
         def counted(request: Request, asker: Asker) -> Reply:
             told.append(request)
             return answer(request, asker)
 
-        monkeypatch.setattr(control._handler, "answer", counted)
+        monkeypatch.setattr(control._sessions._requests, "answer", counted)
         gone = [await call(callers, path) for _ in range(10)]
         for one in gone:
             one.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
@@ -200,7 +202,7 @@ def test_what_a_client_that_has_gone_only_wanted_to_know_is_dropped_at_once(
             one.close()
         await world.seconds(0.1)
         assert (len(told) <= 10 * 2) is True  # all of them need not be shown
-        assert len(control._connections) <= 1
+        assert len(control._sessions._connections) <= 1
         assert (world.state() is not State.SPEED_STAGE) is stopped
 
     serve(path, script)

@@ -57,18 +57,19 @@ def test_a_silent_one_that_speaks_just_as_he_would_have_to_go_is_heard(
     async def script(world: World, control: ControlSocket) -> None:
         one = await call(callers, path)
         await world.seconds(0.05)
-        newcomers = control._newcomers
+        assert control._admission is not None
+        newcomers = control._admission.newcomers
         assert newcomers is not None
         assert len(newcomers) == 1
         one.send(STATUS)
-        assert control._shed_silent(newcomers)
+        assert control._admission._shed_silent()
         await world.seconds(0.05)
         assert heard(one)[0]["ok"]
         other = await call(callers, path)
         await world.seconds(0.05)
         other.close()
-        assert control._shed_silent(newcomers)  # he has left: that is no reason for a line in the log
-        assert not control._shed_silent(newcomers)
+        assert control._admission._shed_silent()  # he has left: that is no reason for a line in the log
+        assert not control._admission._shed_silent()
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
@@ -95,10 +96,11 @@ def test_who_leaves_without_a_word_is_no_client_at_all(path: Path, callers: cont
         await world.seconds(0.05)
         later.close()
         await world.seconds(0.05)
-        newcomers = control._newcomers
+        assert control._admission is not None
+        newcomers = control._admission.newcomers
         assert newcomers is not None
         assert len(newcomers) == 0
-        assert not control._serving
+        assert not control._sessions._serving
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)

@@ -118,11 +118,11 @@ def test_a_flood_of_stops_makes_one_report_a_tick_and_a_command_is_seen_in_its_a
         assert (await other.done(op="stop"))["axis"]["state"] == "stopping"
         assert (await other.done(op="stop", quick=True))["axis"]["state"] == "quick_stopping"
         await world.seconds(1.0)
-        made, count = control._handler.status.made, world.service.statistics.count
+        made, count = control._sessions._requests.status.made, world.service.statistics.count
         other.writer.write(b'{"op": "stop"}\n' * 500)
         for _ in range(500):
             await other.answer()
-        assert control._handler.status.made - made <= world.service.statistics.count - count + 1
+        assert control._sessions._requests.status.made - made <= world.service.statistics.count - count + 1
 
     serve(path, script)
 

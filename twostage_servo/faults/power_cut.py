@@ -44,6 +44,7 @@ def _damage(path: Path) -> str | None:
         head, records = content(document["number"])
     except (ValueError, KeyError, TypeError) as error:
         return f"{path.name} cannot be read: {error!r}"
+    head["snapshot"]["trip"]["file"] = str(path)
     whole = head | {"records": [list(record) for record in records]}
     return None if document == whole else f"{path.name} is not what was written"
 
