@@ -9,12 +9,12 @@ import pytest
 
 from twostage_servo.drives import registry
 
-HERE = Path(__file__).parent
+EXAMPLE = Path(__file__).parents[2] / "examples" / "04_own_drive"
 
 
 def install(folder: Path, entry_points: str) -> None:
-    """Put a distribution with the drive of this folder into another one."""
-    shutil.copy(HERE / "node_drive.py", folder)
+    """Put a distribution with the drive of the example into a folder."""
+    shutil.copy(EXAMPLE / "node_drive.py", folder)
     information = folder / "node_drive-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: node-drive\nVersion: 1.0\n", encoding="utf-8")

@@ -2,12 +2,13 @@
 
 import json
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 import structlog
 
-from tests.drives_of_others import install, node
+from tests.drives_of_others import EXAMPLE, install, node
 from tests.service.rig import World, simulate
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.cli.main import main
@@ -150,3 +151,8 @@ def test_the_fault_campaign_refuses_what_no_dbc_describes(capsys: pytest.Capture
     code, _, err = run(capsys, "faults", "--config", str(file))
     assert code == 2
     assert 'drives of type "dbc" alone' in err
+
+
+def test_the_example_declares_the_entry_point_that_these_tests_install() -> None:
+    project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["entry-points"] == {registry.GROUP: {"node": "node_drive:DRIVE"}}

@@ -1,4 +1,7 @@
-"""A drive that no DBC describes: it has a node number, and obeys nothing before it has been started."""
+"""A drive that no DBC describes: it has a node number, and obeys nothing before it has been started.
+
+``pip install ./examples/04_own_drive``, then ``twostage-servo demo --set protocol.type=node --set protocol.node=5``.
+"""
 
 import struct
 from collections.abc import Sequence
