@@ -1,6 +1,5 @@
 """Where configuration files are: those that are named, and those that came with this package."""
 
-import importlib.resources
 from pathlib import Path
 
 
@@ -14,4 +13,6 @@ def find_configuration(path: Path | None) -> Path | None:
 
 def shipped_configuration(name: str) -> Path:
     """Return where a file that came with this package is, whatever lies in the working directory."""
+    import importlib.resources  # noqa: PLC0415 - the operator's commands start without it
+
     return Path(str(importlib.resources.files("twostage_servo_config"))) / name

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from twostage_servo.config.document import Document
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.toml_file import read_toml
 
@@ -19,6 +18,8 @@ def socket_named_in(path: Path) -> Path | None:
     service = file.data.get("service", {})
     named = service.get("socket", "") if isinstance(service, dict) else service
     if not isinstance(named, str) or not isinstance(service, dict):
+        from twostage_servo.config.document import Document  # noqa: PLC0415 - the commands start without it
+
         key = ("service", "socket") if isinstance(service, dict) else ("service",)
         needed = "a text in quotes is needed" if isinstance(service, dict) else "a table is needed"
         raise ConfigError([Document(file.source, file.data, file.lines).problem(key, needed)])

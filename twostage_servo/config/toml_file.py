@@ -8,21 +8,20 @@ import codecs
 import os
 import re
 import tomllib
-from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
-from twostage_servo.config import toml_lines
 from twostage_servo.config.errors import ConfigError, Problem
 from twostage_servo.config.files import shipped_configuration
 from twostage_servo.settings.toml_text import key_text
+
+if TYPE_CHECKING:
+    from twostage_servo.config import toml_lines
 
 LARGEST_FILE_BYTES: Final = 1_000_000
 _LONGEST_SOURCE_LINE: Final = 100
 
 
-@dataclass(frozen=True)
 class TomlFile:
     """What a configuration file holds, before anybody has judged it.
 
@@ -36,26 +35,39 @@ class TomlFile:
         Its tables, keys and values, not to be changed.
     text
         What it was parsed from.
+    lines
+        Line of every table, key and list entry, where somebody knows them already.
     """
 
-    source: str
-    folder: Path
-    data: dict[str, Any]
-    text: str = field(repr=False)
+    def __init__(
+        self,
+        source: str,
+        folder: Path,
+        data: dict[str, Any],
+        text: str,
+        lines: "dict[toml_lines.Path, int] | None" = None,
+    ) -> None:
+        self.source = source
+        self.folder = folder
+        self.data = data
+        self._text = text
+        self._lines = lines
 
-    def with_keys(self, data: dict[str, Any], lines: dict[toml_lines.Path, int]) -> "TomlFile":
+    def with_keys(self, data: dict[str, Any], lines: "dict[toml_lines.Path, int]") -> "TomlFile":
         """Return the file with other keys, and the line of each."""
-        file = TomlFile(self.source, self.folder, data, self.text)
-        file.__dict__["lines"] = lines  # in place of what the property would find
-        return file
+        return TomlFile(self.source, self.folder, data, self._text, lines)
 
-    @cached_property
-    def lines(self) -> dict[toml_lines.Path, int]:
-        """Line of every table, key and list entry."""
-        try:
-            return toml_lines.key_lines(self.text)
-        except RecursionError:
-            _refuse_nesting(self.source)
+    @property
+    def lines(self) -> "dict[toml_lines.Path, int]":
+        """Line of every table, key and list entry; found once, when somebody asks."""
+        if self._lines is None:
+            from twostage_servo.config import toml_lines  # noqa: PLC0415 - the operator's commands start without it
+
+            try:
+                self._lines = toml_lines.key_lines(self._text)
+            except RecursionError:
+                _refuse_nesting(self.source)
+        return self._lines
 
 
 def read_toml(path: Path | None) -> TomlFile:
@@ -107,10 +119,10 @@ def _read(path: Path) -> str:
     if len(content) > LARGEST_FILE_BYTES:
         _refuse(str(path), f"is larger than {LARGEST_FILE_BYTES} bytes, hardly a configuration; is the name right?")
     try:
-        return content.decode("utf-8-sig").replace("\r\n", "\n")
+        # Not by the codec utf-8-sig, which is one more module to load.
+        return content.removeprefix(codecs.BOM_UTF8).decode().replace("\r\n", "\n")
     except UnicodeDecodeError as error:
-        # decode() counts from behind a byte order mark.
-        start = error.start + (3 if content.startswith(codecs.BOM_UTF8) else 0)
+        start = error.start + (len(codecs.BOM_UTF8) if content.startswith(codecs.BOM_UTF8) else 0)
         line = content.count(b"\n", 0, start) + 1
         _refuse(str(path), f"byte 0x{content[start]:02x} is not UTF-8; save the file as UTF-8", line)
 
@@ -137,6 +149,8 @@ def _refuse_syntax(source: str, text: str, error: str) -> NoReturn:
     line, column = (int(place[1]), int(place[2])) if place else (len(text_lines), len(text_lines[-1]) + 1)
     message = error[: place.start()] if place else error.replace("(at end of document)", "(the file ends too early)")
     if message.startswith(("Cannot", "Duplicate")):
+        from twostage_servo.config import toml_lines  # noqa: PLC0415 - as above
+
         offset = sum(len(text_line) + 1 for text_line in text_lines[: line - 1]) + column - 1
         path, line, earlier_line = toml_lines.find_clash(text[:offset])
         earlier = f"clashes with line {earlier_line}" if earlier_line is not None else "holds a key twice"
