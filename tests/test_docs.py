@@ -11,7 +11,7 @@ from can import Message
 
 from twostage_servo.api.requests import OPERATIONS
 from twostage_servo.app.build import build_parts
-from twostage_servo.app.closed_loop import ServiceHarness
+from twostage_servo.app.service_harness import ServiceHarness
 from twostage_servo.axis.messages import Feedback
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State

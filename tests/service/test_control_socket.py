@@ -30,7 +30,7 @@ from twostage_servo.service.answers import encode
 from twostage_servo.service.background_server import Priority
 from twostage_servo.service.control_socket import ControlSocket, SocketInUseError
 from twostage_servo.service.listening_socket import ListeningSocket
-from twostage_servo.service.request_handler import Asker, Reply
+from twostage_servo.service.reply import Asker, Reply
 from twostage_servo.telemetry.recorder import Recorder
 from twostage_servo.telemetry.sample import FIELDS
 

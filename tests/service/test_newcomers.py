@@ -15,7 +15,7 @@ from tests.service.rig import World
 from twostage_servo.api.requests import Request
 from twostage_servo.axis.state import State
 from twostage_servo.service.control_socket import ControlSocket
-from twostage_servo.service.request_handler import Asker, Reply
+from twostage_servo.service.reply import Asker, Reply
 
 STOP = b'{"op": "stop"}\n'
 

@@ -19,7 +19,7 @@ import structlog
 from tools.fuzz.drives import Drive
 from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.build import build_parts
-from twostage_servo.app.closed_loop import ServiceHarness
+from twostage_servo.app.service_harness import ServiceHarness
 from twostage_servo.axis.messages import ForeignCommand
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State

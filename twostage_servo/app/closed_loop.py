@@ -8,31 +8,26 @@ import functools
 from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import AbstractContextManager, asynccontextmanager, nullcontext
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final
 
 import can
-import structlog
 
-from twostage_servo.api.fields import JsonObject
 from twostage_servo.app.assembly import drive_side
-from twostage_servo.app.build import Parts, build_parts, build_requests, build_service
+from twostage_servo.app.build import Parts, build_parts
 from twostage_servo.app.punctual import punctual
-from twostage_servo.axis.trips import TripFile
+from twostage_servo.app.service_harness import ServiceHarness
 from twostage_servo.canbus.link import BusSettings, Link
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.bus_connection import FrameObserver
-from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.reload import Change
 from twostage_servo.service.runtime import Runtime
 from twostage_servo.service.servo_service import Publisher
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
-from twostage_servo.telemetry.trip_files import Document, Records, TripFiles
 from twostage_servo.timing.ticks import Tick, Ticks
 
 SERVICE: Final = "service"
@@ -90,32 +85,6 @@ class Wires:
         return wire.attach(SERVICE) if self._opener is None else self._opener(wire)
 
 
-class ReplaceableTripFiles:
-    """Trip files that may be given, and changed, while the service runs.
-
-    Attributes
-    ----------
-    files
-        What writes them; None: the recordings of trips stay in memory only.
-    """
-
-    def __init__(self) -> None:
-        self.files: TripFiles | None = None
-
-    def write(self, name: str, document: Document, records: Records, file: TripFile) -> None:
-        """Begin to write a file, if there is something to write it with."""
-        if self.files is not None:
-            self.files.write(name, document, records, file)
-
-    def fail(self, name: str, error: BaseException, file: TripFile) -> None:
-        """Tell that a file could not be written."""
-        if self.files is not None:
-            self.files.fail(name, error, file)
-        else:
-            text = "no recording of the trip: no memory is left"
-            structlog.get_logger().error(text, axis=name.rpartition("-")[0])
-
-
 @dataclass(frozen=True, slots=True)
 class SimulatedAxis:
     """An axis with its simulated drive.
@@ -131,68 +100,6 @@ class SimulatedAxis:
     axis_loop: AxisLoop
     drive: SimulatedDrive
     node: DriveNode
-
-
-class ServiceHarness:
-    """A service with what is needed to look at it and to ask it for something; it does not run by itself.
-
-    Parameters
-    ----------
-    parts, runtime
-        What the service consists of, and what surrounds it.
-    prepare_reload
-        Reads the configuration again; None where there is none to read.
-    publishers
-        Are told of each tick.
-
-    Attributes
-    ----------
-    parts
-        As given.
-    requests
-        Carries out requests.
-    service
-        The service.
-    trip_files
-        Writes a file for each trip, as soon as it is given something to write it with.
-    """
-
-    def __init__(
-        self,
-        parts: Parts,
-        runtime: Runtime,
-        prepare_reload: Callable[[], Awaitable[Change]] | None = None,
-        publishers: Sequence[Publisher] = (),
-    ) -> None:
-        self.parts = parts
-        self.trip_files = ReplaceableTripFiles()
-        self.requests = build_requests(parts, runtime, prepare_reload)
-        self._publishers = list(publishers)
-        snapshot = self.requests.status.report.snapshot_of
-        self.service = build_service(parts, runtime, snapshot, self.trip_files, (self._publish,))
-
-    def listen(self, publisher: Publisher) -> None:
-        """Tell somebody of each tick from now on."""
-        self._publishers.append(publisher)
-
-    def axis_loop(self, name: str | None = None) -> AxisLoop:
-        """Return the axis of a name; without one, the only axis."""
-        return self.parts.axis_loop(name)
-
-    def snapshot(self) -> JsonObject:
-        """Return the state of service and axes, ready for JSON."""
-        return self.requests.status.report.snapshot()
-
-    def control_socket(self, path: Path) -> ControlSocket:
-        """Return a control socket, which has yet to be started, and is told of each tick from now on."""
-        parts = self.parts
-        control = ControlSocket(path, self.requests, parts.background, parts.names, parts.shutdown.fail)
-        self.listen(control.publish)
-        return control
-
-    def _publish(self, tick: Tick) -> None:
-        for publish in self._publishers:
-            publish(tick)
 
 
 class ClosedLoop:

@@ -1,7 +1,7 @@
 """What becomes of a request: it is carried out, refused, or dropped where nobody waits for it any more."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any, Final, Literal, NamedTuple, Protocol
+from typing import Any, Final, Literal
 
 import structlog
 
@@ -29,6 +29,7 @@ from twostage_servo.service.authority import Authority
 from twostage_servo.service.axis_commands import AxisCommands
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.reload import Reload
+from twostage_servo.service.reply import Asker, Reply
 from twostage_servo.service.request_age import RequestAge
 from twostage_servo.service.shutdown import Shutdown
 from twostage_servo.service.status_lines import StatusLines
@@ -40,40 +41,6 @@ _NEVER_TOO_LATE: Final = (StopRequest, DisarmRequest, ReleaseRequest)
 _OK: Final = b'{"ok":true,'
 
 HolderLost = Literal["continue", "stop", "disarm"]
-
-
-class Asker(Protocol):
-    """Who asks."""
-
-    @property
-    def peer(self) -> str:
-        """Name of the connection."""
-
-    @property
-    def arrived_after_s(self) -> float:
-        """When there was nothing of the request yet, s."""
-
-    @property
-    def gone(self) -> bool:
-        """Whether nobody is there any more."""
-
-
-class Reply(NamedTuple):
-    """What becomes of a request: its answer, made piece by piece, and whether it was carried out.
-
-    Attributes
-    ----------
-    pieces
-        The answer; a request that was dropped has none.
-    done
-        Whether it was carried out.
-    axis
-        The axis that it was for; None for all of several.
-    """
-
-    pieces: Iterator[bytes]
-    done: bool
-    axis: AxisLoop | None = None
 
 
 class RequestHandler:
