@@ -6,7 +6,7 @@ from typing import Any
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, design_axis
-from twostage_servo.axis.messages import Command, DriveTraits, Feedback
+from twostage_servo.axis.messages import IN_TIME, Command, DriveTraits, Feedback
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.control.laws.paper_design import PaperDesign
@@ -101,8 +101,10 @@ class AxisRig:
         self.axis.begin_tick(self.tick_index, missed)
         if not self.silent:
             self.counter = (self.counter + 1) % 16
-            feedback = Feedback(self.sample, self.counter, self.enabled, fault_code=self.fault_code, **self.inputs)
-            self.axis.take_feedback(feedback)
+            told = {name: value for name, value in self.inputs.items() if name in Feedback._fields}
+            received = {name: value for name, value in self.inputs.items() if name not in told}
+            feedback = Feedback(self.sample, self.counter, self.enabled, fault_code=self.fault_code, **told)
+            self.axis.take_feedback(feedback, IN_TIME._replace(**received))
         command = self.axis.step()
         self.enabled = command.enable is True and self.enables
         self.sample = self.sees(self.position)

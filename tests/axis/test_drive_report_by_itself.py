@@ -230,10 +230,10 @@ def test_another_origin_moves_what_is_known_and_what_comes() -> None:
 
 
 def test_a_step_is_at_most_half_a_round() -> None:
-    assert report(100.0).step(95.0, 5.0) == pytest.approx(10.0)
-    assert report(100.0).step(5.0, 95.0) == pytest.approx(-10.0)
-    assert report(100.0).step(5.0, 45.0) == pytest.approx(40.0)
-    assert report().step(95.0, 5.0) == -90.0
+    assert report(100.0).encoder.step(95.0, 5.0) == pytest.approx(10.0)
+    assert report(100.0).encoder.step(5.0, 95.0) == pytest.approx(-10.0)
+    assert report(100.0).encoder.step(5.0, 45.0) == pytest.approx(40.0)
+    assert report().encoder.step(95.0, 5.0) == -90.0
 
 
 def test_boots_are_counted_by_their_counter() -> None:
@@ -241,7 +241,7 @@ def test_boots_are_counted_by_their_counter() -> None:
     assert [drive.take_heartbeat(counter) for counter in (4, 4, 5, None, 6, 7, 6)] == [
         False, False, True, False, False, True, True,
     ]  # fmt: skip
-    assert drive.boots == 3
+    assert drive.heartbeat.state.boots == 3
 
 
 @pytest.mark.parametrize(
@@ -279,7 +279,7 @@ def test_a_report_begins_with_nothing_known() -> None:
     known = (drive.position, drive.age_s, drive.enabled, drive.fault_code, drive.index)
     inputs = (drive.safe_torque_off, drive.positive_limit, drive.negative_limit, drive.home_switch)
     assert (*known, *inputs) == (None,) * 9
-    assert (drive.fresh, drive.boots, drive.is_stale) == (False, 0, True)
+    assert (drive.fresh, drive.heartbeat.state.boots, drive.is_stale) == (False, 0, True)
     drive.take(Feedback(0.0, 1, enabled=True, home_switch=False))
     assert (drive.enabled, drive.fresh) == (True, True)
     drive.forget()

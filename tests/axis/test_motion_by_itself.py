@@ -20,7 +20,11 @@ class Bench:
 
     def __init__(self, position: float = 10.0, resolution: float = 0.001) -> None:
         drive: Any = SimpleNamespace(
-            fresh=False, position=None, age_s=None, is_stale=False, step=lambda before, now: now - before
+            fresh=False,
+            position=None,
+            age_s=None,
+            is_stale=False,
+            encoder=SimpleNamespace(step=lambda before, now: now - before),
         )
         self.drive = drive
         self.motion = Motion(DESIGN, drive, resolution)

@@ -195,15 +195,15 @@ def test_a_heartbeat_from_a_backlog_is_no_sign_of_life() -> None:
         link: Link = world.axis_loop.bus.link
         profile, drive = world.profile, world.axis.drive
         assert profile.heartbeat_id is not None
-        drive._ticks_since_heartbeat, boots = 5, drive.boots
-        data = profile.encode_heartbeat(Heartbeat(0, (drive._boot_counter or 0) + 1))
+        drive.heartbeat.state.ticks_since, boots = 5, drive.heartbeat.state.boots
+        data = profile.encode_heartbeat(Heartbeat(0, (drive.heartbeat.state.boot_counter or 0) + 1))
         message = can.Message(arbitration_id=profile.heartbeat_id.identifier, is_extended_id=False, data=data)
         link.is_behind = True
         world.hear(message)
-        assert drive._ticks_since_heartbeat == 5
-        assert drive.boots == boots + 1  # which it does tell
+        assert drive.heartbeat.state.ticks_since == 5
+        assert drive.heartbeat.state.boots == boots + 1  # which it does tell
         link.is_behind, message.timestamp = False, asyncio.get_running_loop().time()
         world.hear(message)
-        assert drive._ticks_since_heartbeat == 0
+        assert drive.heartbeat.state.ticks_since == 0
 
     simulate(script)

@@ -108,11 +108,11 @@ def test_what_is_known_of_the_place_is_neither_lost_nor_given_back(file: Path, *
 def test_a_drive_that_reboots_is_noticed_across_a_reload(file: Path) -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        boots = world.axis.drive.boots
+        boots = world.axis.drive.heartbeat.state.boots
         world.prepare = reloading(world, file)
         await world.reload()
         world.axis.take_heartbeat(77)
-        assert world.axis.drive.boots == boots + 1
+        assert world.axis.drive.heartbeat.state.boots == boots + 1
         assert not world.axis.referenced
 
     simulate(script)

@@ -90,7 +90,7 @@ class Axis:
         self.motion = motion = Motion(design, drive, resolution)
         self.supervision = supervision = Supervision(design, motion)
         self.reference = reference = Reference(required=settings.homing.required)
-        self.count = count = CountWatch(design, resolution, drive.step)
+        self.count = count = CountWatch(design, resolution, drive.encoder.step)
         admission = Admission(design, drive, resolution)
         origin = Origin(drive, disabled, motion, count, reference)
         jog = JogTimer(design)

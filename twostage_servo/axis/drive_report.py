@@ -6,18 +6,12 @@ from collections.abc import Iterator
 from twostage_servo.axis.drive_states import DriveState, DriveStateComparison
 from twostage_servo.axis.feedback import WINDOW_TICKS, FeedbackMonitor
 from twostage_servo.axis.foreign_commands import ForeignCommands
+from twostage_servo.axis.heartbeat import Heartbeat
 from twostage_servo.axis.messages import IN_TIME, DriveTraits, Feedback, Reception
 from twostage_servo.axis.refusals import Obstacle, RefusalCode
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.trips import TripCode
-
-_INPUTS = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
-
-_KNOWLEDGE = (
-    "monitor", "position", "age_s", "enabled", "fault_code", "faulted", *_INPUTS, "index", "boots", "_near", "_origin",
-    "_boot_counter", "_heartbeat_heard", "_ticks_since_heartbeat", "_ticks_unseen", "_backlog",
-)  # fmt: skip
-"""What a report knows of the drive, and does not have from the settings."""
+from twostage_servo.axis.unwrapping import Unwrapping
 
 
 class DriveReport:
@@ -49,8 +43,13 @@ class DriveReport:
         Whether these inputs are active; None where the drive does not tell.
     index
         Position that the drive latched at the encoder's index mark since :meth:`forget_index`, or None.
-    boots
-        How often the drive has rebooted since the first heartbeat.
+    encoder
+        Which revolution of its encoder this is.
+    heartbeat
+        Whether the heartbeat comes, and how often the drive has rebooted.
+    backlog
+        Reads of the bus in a row that came behind others, and of how many frames; None where the last frame was read in
+        time.
     fresh
         Whether this tick had fresh feedback.
     told_state
@@ -79,28 +78,15 @@ class DriveReport:
         self.negative_limit: bool | None = None
         self.home_switch: bool | None = None
         self.index: float | None = None
-        self.boots = 0
         self.fresh = False
         self.told_state = self.told_present_state = False
         self._fault_texts = traits.fault_texts
         self._settings = settings
         self._period_ms = 1e3 * period_s
-        self._position_period = position_period = traits.position_period
-        self._near: float | None = None  # where the axis is taken to be, to choose among the encoder's rounds
-        self._origin = 0.0  # axis position where the encoder counts 0
-        self._boot_counter: int | None = None
-        self._has_heartbeat = traits.has_heartbeat
-        self._heartbeat_heard = False
-        self._ticks_since_heartbeat = 0
-        self._ticks_unseen = 0
-        self._backlog: tuple[int, int] | None = None  # reads in a row that came behind others, and of how many frames
-        limits = settings.limits
-        travel = limits.position_maximum - limits.position_minimum + 2.0 * limits.position_overrun
-        # Where the axis can't be half a round from where it was last seen, the nearest round is always the right one.
-        one_round_only = position_period == 0.0 or travel < 0.5 * position_period
-        self._unseen_limit_s = math.inf if one_round_only else 0.5 * position_period / limits.overspeed
+        self.encoder = Unwrapping(settings.limits, period_s, traits.position_period)
+        self.heartbeat = Heartbeat(settings, period_s, expected=traits.has_heartbeat)
+        self.backlog: tuple[int, int] | None = None
         self._stale_ticks = math.ceil(settings.limits.stale_feedback_ms / self._period_ms)
-        self._heartbeat_ticks = math.ceil(settings.limits.heartbeat_ms / self._period_ms)
 
     def begin_tick(self, missed: int, expected: float | None = None) -> None:
         """Let everything known grow older by this tick and those missed before it.
@@ -110,12 +96,10 @@ class DriveReport:
         """
         self.fresh = self.told_state = self.told_present_state = False
         self.states.begin_tick()
-        if expected is not None or self.position is not None:
-            self._near = self.position if expected is None else expected
-        self._ticks_unseen += 1 + missed
+        self.encoder.begin_tick(missed, self.position if expected is None else expected)
         self.monitor.begin_tick(missed)
         self.foreign.begin_tick(missed)
-        self._ticks_since_heartbeat += 1 + missed
+        self.heartbeat.begin_tick(missed)
 
     # What comes from the drive ---------------------------------------------------------------------------------------
 
@@ -140,14 +124,10 @@ class DriveReport:
         if late:
             self._take_state(feedback, late, driven)
             return True
-        self._backlog = None
+        self.backlog = None
         again = self.fresh
         self.fresh = True
-        sure = self._near is None or 1e-3 * self._period_ms * self._ticks_unseen < self._unseen_limit_s
-        self._ticks_unseen = 0
-        position = self._rolled_out(feedback.position)
-        if self._near is None:
-            self._near = position
+        position, sure = self.encoder.see(feedback.position)
         if not (again and unasked):
             self.position, self.age_s = position, age_s
         self._take_state(feedback, late, driven)
@@ -173,11 +153,11 @@ class DriveReport:
     def take_index(self, position: float) -> None:
         """Take the position that the encoder counted at its index mark, in axis unit."""
         if math.isfinite(position):
-            self.index = self._rolled_out(position)
+            self.index = self.encoder.position(position)
 
     def notice_backlog(self, reads: int, frames: int) -> None:
         """Remember how many reads of the bus in a row came behind one that ended at its bound of so many frames."""
-        self._backlog = reads, frames
+        self.backlog = reads, frames
 
     def take_heartbeat(self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False) -> bool:
         """Take a heartbeat with what its state claims; return whether the drive has booted since the last one.
@@ -186,25 +166,29 @@ class DriveReport:
         """
         if not late:
             self.states.take(state)
-            self._ticks_since_heartbeat, self._heartbeat_heard = 0, True
-        rebooted = self._boot_counter is not None and boot_counter is not None and boot_counter != self._boot_counter
-        self._boot_counter = boot_counter
-        self.boots += rebooted
-        return rebooted
+        return self.heartbeat.take(boot_counter, late=late)
 
     def forget(self) -> None:
         """Start afresh, as after the bus was lost; roll-overs are counted on from where the axis was last seen."""
         self.monitor.forget()
-        self._backlog = None
+        self.backlog = None
         self.position = self.enabled = self.fault_code = self.faulted = self.age_s = None
         self.safe_torque_off = self.positive_limit = self.negative_limit = self.home_switch = None
-        self._ticks_since_heartbeat, self._heartbeat_heard = 0, False
+        self.heartbeat.forget()
         self.states.forget()
 
     def take_over(self, former: "DriveReport") -> None:
         """Know what a former report of the same drive knew: settings may change, the drive and its place do not."""
-        for name in _KNOWLEDGE:
-            setattr(self, name, getattr(former, name))
+        self.monitor = former.monitor
+        self.encoder.state, self.heartbeat.state, self.backlog = (
+            former.encoder.state,
+            former.heartbeat.state,
+            former.backlog,
+        )
+        self.position, self.age_s, self.index = former.position, former.age_s, former.index
+        self.enabled, self.fault_code, self.faulted = former.enabled, former.fault_code, former.faulted
+        self.safe_torque_off, self.home_switch = former.safe_torque_off, former.home_switch
+        self.positive_limit, self.negative_limit = former.positive_limit, former.negative_limit
         self.states.take_over(former.states)
         self.foreign.take_over(former.foreign)
 
@@ -214,9 +198,7 @@ class DriveReport:
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
-        self._origin += distance
-        if self._near is not None:
-            self._near += distance
+        self.encoder.shift(distance)
         if self.position is not None:
             self.position += distance
 
@@ -229,9 +211,14 @@ class DriveReport:
     # What follows from it --------------------------------------------------------------------------------------------
 
     @property
+    def boots(self) -> int:
+        """How often the drive has rebooted since the first heartbeat."""
+        return self.heartbeat.state.boots
+
+    @property
     def counts_boots(self) -> bool:
         """Whether the drive has told its count of boots."""
-        return self._boot_counter is not None
+        return self.heartbeat.state.boot_counter is not None
 
     @property
     def enabled_report(self) -> bool | None:
@@ -266,14 +253,8 @@ class DriveReport:
             yield TripCode.DRIVE_FAULT, f"the drive reports {self._say_fault()}"
         if self.enabled is False and not arming:
             yield TripCode.DRIVE_DROPPED_OUT, "the drive reports that it is no longer enabled"
-        if self._has_heartbeat and self._ticks_since_heartbeat >= self._heartbeat_ticks:
-            yield (
-                TripCode.HEARTBEAT_LOST,
-                (
-                    f"no heartbeat from the drive for {self._period_ms * self._ticks_since_heartbeat:g} ms; "
-                    f"axis.limits.heartbeat_ms is {limits.heartbeat_ms:g}"
-                ),
-            )
+        if loss := self.heartbeat.loss:
+            yield TripCode.HEARTBEAT_LOST, loss
         if self.is_stale:
             yield (
                 TripCode.STALE_FEEDBACK,
@@ -306,7 +287,7 @@ class DriveReport:
             return RefusalCode.FOREIGN_COMMAND, text
         if self.enabled is True:
             return RefusalCode.STILL_ENABLED, "the drive has not been disabled yet: ask again."
-        if self._has_heartbeat and not self._heartbeat_heard:
+        if self.heartbeat.is_awaited:
             return (
                 RefusalCode.HEARTBEAT_LOST,
                 "no heartbeat has come from the drive yet: ask again, or set protocol.heartbeat.message to false.",
@@ -322,25 +303,11 @@ class DriveReport:
     def _why_late(self) -> str:
         """Return the end of a sentence that says what came too late to count, if anything did."""
         late = self.monitor.late_since_fresh
-        if self._backlog is not None:
-            reads, frames = self._backlog
+        if self.backlog is not None:
+            reads, frames = self.backlog
             return (
                 f"; the bus brings frames faster than they are read: {reads} reads in a row came behind one that ended "
                 f"at {frames} frames (bus.max_frames_per_tick), so that the {late} feedback frames in them are of no "
                 "known age"
             )
         return f"; {late} feedback frames have come too late to count" if late else ""
-
-    # Roll-over -------------------------------------------------------------------------------------------------------
-
-    def _rolled_out(self, counted: float) -> float:
-        """Return the axis' position for what the encoder counts: of all its rounds the one nearest to the estimate."""
-        position, period = counted + self._origin, self._position_period
-        if period and self._near is not None:
-            position += period * round((self._near - position) / period)
-        return position
-
-    def step(self, before: float, now: float) -> float:
-        """Return how far it is from one position to the next that was seen, in axis unit: at most half a round."""
-        distance, period = now - before, self._position_period
-        return distance - period * round(distance / period) if period else distance

@@ -226,7 +226,7 @@ class Motion:
             self._was_outlier = True
         else:
             # An axis that moves when it is first seen, or is knocked: two samples say how fast.
-            before = position - self._drive.step(self._tracked, position)
+            before = position - self._drive.encoder.step(self._tracked, position)
             observer.start_moving(before, position, self._ticks_since_tracked)
             self._samples_tracked += 1
             self._was_outlier = False
