@@ -23,6 +23,7 @@ from twostage_servo.axis.detection import allowed_travel, slowest_certain_veloci
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
 from twostage_servo.axis.state import BRAKING, COMMANDED, DRIVEN
 from twostage_servo.control.model_monitor.monitor import DATE_SHARE, NOISE_SHARE
+from twostage_servo.control.per_time import kept_in
 from twostage_servo.control.plant import MODEL_ERROR
 
 ENCODER_FACTORS = {"turned round": -1.0, "counting double": 2.0, "counting half": 0.5, "frozen": 0.0}
@@ -44,7 +45,7 @@ jump. So the change explains the samples 277 times better than no change does, a
 factor of five for what accepted plants make up for meanwhile."""
 
 _FADING = 0.998
-"""Share that is left a tick later of the largest speed, by which late samples are judged."""
+"""Share that is left 10 ms later of the largest speed, by which late samples are judged."""
 
 
 def undetected_travel(design: AxisDesign) -> float:
@@ -177,7 +178,7 @@ class EncoderWatch:
         may one with another scale, until it has been fast enough for that to show.
         """
         self._speeds.append(abs(speed))
-        self._fastest = max(_FADING * self._fastest, abs(speed))
+        self._fastest = max(kept_in(_FADING, self._axis.design.period_s) * self._fastest, abs(speed))
         begins, self._was_driven = not self._was_driven, self._axis.state in DRIVEN
         if begins and self._was_driven and (wrong := self._look_at_arming(position, speed)):
             return wrong

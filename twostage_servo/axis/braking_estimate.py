@@ -7,9 +7,10 @@ wrong speed would count in full. So what the corrections do in a tick is taken i
 
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.control.observer import DisturbanceObserver
+from twostage_servo.control.per_time import share_in
 
 _SHARE = 0.2
-"""Share of the present innovation in the standing one: a mean over some five ticks."""
+"""Share of the present innovation in the standing one, for each 10 ms: a mean over some 50 ms."""
 
 
 class BrakingEstimate:
@@ -21,11 +22,12 @@ class BrakingEstimate:
         The axis.
     """
 
-    __slots__ = ("_disturbance", "_effort", "_gain1", "_gain2", "_plant", "_standing", "_velocity")
+    __slots__ = ("_disturbance", "_effort", "_gain1", "_gain2", "_plant", "_share", "_standing", "_velocity")
 
     def __init__(self, design: AxisDesign) -> None:
         self._plant = design.plant
         self._gain1, self._gain2, _ = design.kalman.predictor
+        self._share = share_in(_SHARE, design.period_s)
         self._standing = 0.0  # in axis unit
         self._velocity = self._disturbance = self._effort = 0.0  # of the model that runs on
 
@@ -49,7 +51,7 @@ class BrakingEstimate:
             Whether that sample was one that an accepted plant would show.
         """
         if corrected:
-            self._standing += _SHARE * (observer.innovation - self._standing)
+            self._standing += self._share * (observer.innovation - self._standing)
         if sure:
             self._velocity, self._disturbance = self._without_corrections(observer)
         else:

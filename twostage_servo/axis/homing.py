@@ -8,8 +8,11 @@ from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.settings import HomingSettings
 from twostage_servo.control.laws.law import Stage
 
+_AHEAD_S = 0.03
+"""Time by which an index mark may be ahead of the samples, in s, and three ticks at least: one, and a period of the
+drive's, which may be longer than a short tick."""
+
 _TICKS_AHEAD = 3
-"""Ticks by which an index mark may be ahead of the samples."""
 
 
 class _Phase(enum.Enum):
@@ -55,7 +58,7 @@ class Homing:
         self._effort_limit = design.settings.limits.effort
         self._rest_velocity = design.rest_velocity
         # A mark may be told of before the sample that shows the axis there: a tick, and a period of the drive's.
-        self._way_ahead = _TICKS_AHEAD * design.period_s * settings.slow_velocity
+        self._way_ahead = max(_AHEAD_S, _TICKS_AHEAD * design.period_s) * settings.slow_velocity
         self._motion = motion
         self._drive = drive
         self._sign = _sign(settings)

@@ -9,13 +9,14 @@ from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
 from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.per_time import kept_in
 
 IMPLAUSIBLE_SAMPLES = 2
 """Samples in a row beyond the innovation limit that are a fault: one is a spike, two are not."""
 
-_LONG_GAP_TICKS = 2
-"""Missed ticks after which the model is tested afresh, once the estimate is right again: what they hid would count as
-evidence against it."""
+_LONG_GAP_MS = 20.0
+"""Time of missed ticks, in ms, after which the model is tested afresh, once the estimate is right again: what they hid
+would count as evidence against it."""
 
 _LONGEST_PREDICTION_MS = 1000.0
 """Time for which missed ticks are predicted one by one: a tick after a stall of hours must not take seconds."""
@@ -24,7 +25,7 @@ _NOISE_DEVIATIONS = 3.0
 """Standard deviations of the measured position by which an encoder has to go on for its axis to move."""
 
 _FADING = 0.998
-"""Share that is left a tick later of the speed by which the model is judged: a time constant of 5 s."""
+"""Share that is left 10 ms later of the speed by which the model is judged: a time constant of 5 s."""
 
 
 class Motion:
@@ -70,6 +71,8 @@ class Motion:
         self._load = StandingLoad(design)
         limits = design.settings.limits
         self._longest_prediction = max(limits.missed_ticks, design.ticks(_LONGEST_PREDICTION_MS))
+        self._long_gap_ticks = design.ticks(_LONG_GAP_MS)
+        self._fading = kept_in(_FADING, design.period_s)
         self._drive = drive
         self._period_s = design.period_s
         self._limits = design.settings.limits
@@ -182,14 +185,14 @@ class Motion:
             self.predicted += 1
         if sample is None or lag:  # one from before a gap says nothing of how the plant has answered since
             self.model_monitor.predict(before)
-        elif self._skipped >= _LONG_GAP_TICKS:
+        elif self._skipped >= self._long_gap_ticks:
             self.model_monitor.start(self.law.observer, before)
             if not self._gap.allowance:
                 self._skipped = 0
         else:
             self._skipped = 0
             # By the speed of the whole move: what a wrong pole does shows while the axis slows down.
-            self._speed_of_late = max(_FADING * self._speed_of_late, abs(self.law.observer.velocity))
+            self._speed_of_late = max(self._fading * self._speed_of_late, abs(self.law.observer.velocity))
             shown = self._drive.position
             assert shown is not None  # noqa: S101 - the sample is made from it
             self.model_monitor.update(shown, before, self.law.observer, self._speed_of_late, self._lag_s)

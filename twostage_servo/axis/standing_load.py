@@ -11,9 +11,10 @@ from typing import Final
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.control.model_monitor.hypotheses import ACCEPTED
 from twostage_servo.control.observer import DisturbanceObserver
+from twostage_servo.control.per_time import share_in
 
 _SHARE: Final = 0.3
-"""Share of the present disturbance in the mean: over some three ticks."""
+"""Share of the present disturbance in the mean, for each 10 ms: over some 30 ms."""
 
 _CRUISE_EFFORTS: Final = tuple(plant.pole / plant.gain for plant in ACCEPTED)
 """The effort of a cruise on each accepted plant, as a multiple of the model's."""
@@ -37,11 +38,12 @@ class StandingLoad:
         The part that does not go with the speed, in effort unit.
     """
 
-    __slots__ = ("_friction", "_rest_velocity", "load")
+    __slots__ = ("_friction", "_rest_velocity", "_share", "load")
 
     def __init__(self, design: AxisDesign) -> None:
         self._friction = design.settings.plant.pole / design.settings.plant.gain  # of the model, effort per speed
         self._rest_velocity = design.rest_velocity
+        self._share = share_in(_SHARE, design.period_s)
         self.start()
 
     def start(self) -> None:
@@ -52,7 +54,7 @@ class StandingLoad:
         """Account for a tick under position control: what friction does not explain at the present speed is load."""
         disturbance = observer.disturbance
         rest = disturbance - self.load - self._likeliest(observer.velocity, disturbance) * observer.velocity
-        self.load += _SHARE * rest
+        self.load += self._share * rest
 
     def friction(self, velocity: float, disturbance: float) -> float:
         """Return by how much the disturbance changes with the speed, in effort unit s/axis unit.

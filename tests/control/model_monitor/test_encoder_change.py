@@ -229,8 +229,14 @@ def test_a_scale_has_to_jump_by_half_of_the_surprise_that_decides_and_a_standing
 ) -> None:
     """At v the jump is ``|1 - f| a12 v`` with the a12 of 10 ms, or of a longer tick; 0.125 mm is what decides."""
     velocity = sign * needed * 0.125 / PLANT.discretise(max(0.01, period_s)).a12
-    assert not is_certain_after(change(factor, estimate(0.999 * velocity), period_s=period_s), 9)
-    assert is_certain_after(change(factor, estimate(1.001 * velocity), period_s=period_s), 9)
+    assert not is_certain_after(change(factor, estimate(0.999 * velocity), period_s=period_s), 25)
+    assert is_certain_after(change(factor, estimate(1.001 * velocity), period_s=period_s), 25)
+
+
+@pytest.mark.parametrize(("period_s", "ticks"), [(0.002, 25), (0.01, 5), (0.02, 5)])
+def test_an_encoder_that_stands_still_has_to_explain_fifty_ms_and_five_samples(period_s: float, ticks: int) -> None:
+    assert not is_certain_after(change(0.0, estimate(100.0), period_s=period_s), ticks - 1)
+    assert is_certain_after(change(0.0, estimate(100.0), period_s=period_s), ticks)
 
 
 def test_the_jump_is_that_of_the_plant_that_it_begins_from() -> None:

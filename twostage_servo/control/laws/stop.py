@@ -15,32 +15,33 @@ from math import copysign, inf, isinf, sqrt
 
 from twostage_servo.control.laws.law import ControlTask
 from twostage_servo.control.observer import DisturbanceObserver
+from twostage_servo.control.per_time import NOMINAL_S, samples_in, share_in
 from twostage_servo.control.plant import MODEL_ERROR, DiscretePlant
 
 BRAKING_SHARE = 0.3
-"""Share of the velocity error that a stop takes away in a period, f_b b2: stable for half to twice the model's gain or
-pole, and with a period of delay more."""
+"""Share of the velocity error that a stop takes away in 10 ms or a period, whichever is longer, f_b b2: stable for half
+to twice the model's gain or pole, and with a period of delay more."""
 
 ENDING_SHARE = 0.25
 """Largest share of its speed that a stop takes away in 10 ms or a period, whichever is longer: what is under way when a
 sample shows that speed does not reverse a plant with 30 % more gain, or with a period of delay more."""
 
-_ENDING_S = 0.01
-"""The time that :data:`ENDING_SHARE` is for, in s."""
-
 REST_TICKS = 3
-"""Periods for which the speed has to be low before a stop is done: one may be the estimate's own noise."""
+"""Samples by which the speed has to be low before a stop is done: one may be the estimate's own noise."""
+
+REST_S = 0.03
+"""Time for which it has to be low, in s, where those come sooner."""
 
 
 def ending_share(period_s: float) -> float:
     """Return the largest share of its speed that a stop takes away in a period (s); see :data:`ENDING_SHARE`."""
-    kept: float = (1.0 - ENDING_SHARE) ** min(1.0, period_s / _ENDING_S)
+    kept: float = (1.0 - ENDING_SHARE) ** min(1.0, period_s / NOMINAL_S)
     return 1.0 - kept
 
 
 def braking_gain(plant: DiscretePlant) -> float:
     """Return f_b, the effort per velocity error of a stop, in effort unit s/axis unit."""
-    return BRAKING_SHARE / plant.b2
+    return share_in(BRAKING_SHARE, min(NOMINAL_S, plant.period_s)) / plant.b2
 
 
 @dataclass(slots=True)
@@ -88,7 +89,16 @@ class Stop:
         Where it stands.
     """
 
-    __slots__ = ("_braking_gain", "_period_s", "_plant", "_rate", "_rest_velocity", "_smallest_step", "state")
+    __slots__ = (
+        "_braking_gain",
+        "_period_s",
+        "_plant",
+        "_rate",
+        "_rest_ticks",
+        "_rest_velocity",
+        "_smallest_step",
+        "state",
+    )
 
     def __init__(
         self, plant: DiscretePlant, period_s: float, *, effort_rate_limit: float = inf, rest_velocity: float = 0.0
@@ -96,6 +106,7 @@ class Stop:
         self._plant = plant
         self._period_s = period_s
         self._braking_gain = braking_gain(plant)
+        self._rest_ticks = samples_in(REST_S, period_s, REST_TICKS)
         self._rate = effort_rate_limit * period_s * abs(plant.b2)  # of the ramp's steps, from one to the next
         self._rest_velocity = rest_velocity
         self._smallest_step = ending_share(period_s) * rest_velocity  # or it would never end
@@ -124,7 +135,7 @@ class Stop:
         state = self.state
         at_rest = state.speed_reference == 0.0 and abs(velocity) <= self._rest_velocity
         state.ticks_at_rest = state.ticks_at_rest + 1 if at_rest else 0
-        return state.ticks_at_rest >= REST_TICKS
+        return state.ticks_at_rest >= self._rest_ticks
 
     def step(self, observer: DisturbanceObserver, limited: Callable[[float], float]) -> float:
         """Follow the ramp down by a period, and return the effort.

@@ -15,13 +15,13 @@ from typing import Final, NamedTuple
 
 from twostage_servo.control.model_monitor.hypotheses import (
     ACCEPTED,
-    NOMINAL_S,
     Deviation,
     deviating,
     forgetting,
     slow_observer,
 )
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel, kalman_gain
+from twostage_servo.control.per_time import NOMINAL_S, samples_in
 from twostage_servo.control.plant import DiscretePlant, Plant
 
 CHANGE_EVIDENCE: Final = 50.0
@@ -32,10 +32,11 @@ CHANGE_RATIO: Final = 8.0
 """The same with the noise."""
 
 CHANGE_TICKS: Final = 3
-"""Samples that a change has to explain: a spike is one, and comes back with the next."""
+"""Samples that a change has to explain, however soon they come: a spike is one, and comes back with the next."""
 
 STANDING_TICKS: Final = 5
-"""The same for an encoder that stands still: a load that turns round lets the axis pass standstill within three."""
+STANDING_S: Final = 0.05
+"""The same for an encoder that stands still: a load that turns round lets the axis pass standstill within 30 ms."""
 
 PART_TICKS: Final = 3
 """Samples more that a change has to explain whose first sample shows a part of it: that one is explained by anything,
@@ -154,7 +155,7 @@ class EncoderChange:
             for deviation in (ACCEPTED if follows_likeliest else ACCEPTED[:1])
         ]
         self._jump_share = JUMP_SHARE if factor else 2.0 * JUMP_SHARE
-        self._least_ticks = CHANGE_TICKS if factor else STANDING_TICKS
+        self._least_ticks = CHANGE_TICKS if factor else samples_in(STANDING_S, period_s, STANDING_TICKS)
         self.begin(self._branches[0].truth, 0)
 
     def begin(self, origin: DisturbanceObserver, likeliest: int) -> None:

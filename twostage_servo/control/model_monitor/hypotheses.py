@@ -7,6 +7,7 @@ one of 20 ms. What one tick of :data:`NOMINAL_S` is told by, shorter ones tell b
 from typing import Final, NamedTuple
 
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
+from twostage_servo.control.per_time import NOMINAL_S, kept_in
 from twostage_servo.control.plant import Plant
 
 
@@ -69,9 +70,6 @@ each accepted plant does."""
 CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 """How many times as much the encoder counts after a change."""
 
-NOMINAL_S: Final = 0.01
-"""The tick that figures per tick are given for, in s."""
-
 _FORGETTING: Final = 0.93
 """Weight of the window for each :data:`NOMINAL_S` of age: a time constant of 138 ms."""
 
@@ -87,7 +85,7 @@ cycle of a usual drive's firmware, and no more than what a bus and two such cycl
 
 def forgetting(period_s: float) -> float:
     """Return the weight of the window for each tick of age."""
-    return float(_FORGETTING ** (period_s / NOMINAL_S))
+    return kept_in(_FORGETTING, period_s)
 
 
 def slow_observer(plant: Plant, period_s: float, noise: NoiseModel) -> DisturbanceObserver:
