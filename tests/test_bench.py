@@ -34,7 +34,8 @@ from tools.bench.children import ChildError
 from tools.bench.plan import FULL, QUICK
 from twostage_servo.api.request_reading import parse_request
 from twostage_servo.api.requests import BadRequestError
-from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.axis.refusals import RefusalCode
+from twostage_servo.client.errors import Reason, Refused, Unreachable
 from twostage_servo.timing.virtual_clock import run as simulate
 
 if TYPE_CHECKING:
@@ -186,17 +187,16 @@ class _Client:
 
     stops = 0
 
-    def __init__(self, path: Path, timeout_s: float) -> None:
-        self.repeated = 1
+    def __init__(self, path: Path, *, timeout_s: float) -> None:
+        self.reconnected = 1
         self.closed = False
         if path.name == "nowhere":
-            raise CommandError(ExitCode.UNREACHABLE, "unreachable", "no service answers")
+            raise Unreachable(Reason.NO_SERVICE, "no service answers")
 
-    def request(self, *, op: str) -> None:
-        assert op == "stop"
+    def stop(self, *, wait: bool) -> None:
+        assert not wait
         _Client.stops += 1
-        code = "no_answer" if _Client.stops % 2 else "busy"
-        raise CommandError(ExitCode.UNREACHABLE, code, "so it is")
+        raise Unreachable(Reason.NO_ANSWER, "so it is") if _Client.stops % 2 else Refused(RefusalCode.BUSY, "so it is")
 
     def close(self) -> None:
         assert not self.closed
@@ -204,7 +204,7 @@ class _Client:
 
 
 def test_a_stop_without_an_answer_is_lost_and_a_refusal_is_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stop_latency, "Client", _Client)
+    monkeypatch.setattr(stop_latency, "connect", _Client)
     monkeypatch.setattr("time.sleep", lambda _: None)
     monkeypatch.setattr(_Client, "stops", 0)
     told = stop_latency.ask(Path("there"), 9)

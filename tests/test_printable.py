@@ -14,6 +14,23 @@ import structlog
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from twostage_servo.api.status import (
+    AxisReport,
+    AxisStatus,
+    BusStatus,
+    DriveStatus,
+    FrameStatus,
+    InputStatus,
+    LeaseStatus,
+    ServiceStatus,
+    Status,
+    TickStatus,
+    Times,
+    TripStatus,
+    Trouble,
+)
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.axis_text import describe, lines_of
 from twostage_servo.cli.main import build_parser
 from twostage_servo.cli.output import Progress, note, print_json, print_line
@@ -91,23 +108,40 @@ def test_the_command_line_prints_no_orders(screen: Terminal, text: str) -> None:
 @given(text=texts)
 def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -> None:
     start = screen.tell()
-    axis = {
-        "name": text, "unit": text, "effort_unit": text, "state": text, "cia402": text, "referenced": False,
-        "reference": None, "reference_lost": text,
-        "position": 1.0, "feedback_age_ms": None, "velocity": None, "disturbance": None, "effort": 0.0, "target": None,
-        "following_error": 0.0, "saturated": False,
-    }  # fmt: skip
-    frames = dict.fromkeys(("received", "sent", "rejected", "lost", "dropped"), 0)
-    lateness = dict.fromkeys(("p50", "p99", "max"), 0.0)
-    status = {
-        "axis": axis, "move": None, "inputs": {text: True}, "frames": frames, "lease": {"holder": text},
-        "trip": {
-            "code": text, "cause": text, "next_action": text, "file": text, "file_error": text, "codes": [text, text],
-        },
-        "drive": {"moved": 1.0, "lasting": [{"code": text, "cause": text, "next_action": text}]},
-        "bus": {"open": False, "error": text, "controller": text}, "version": text, "pid": 1, "uptime_s": 0.0,
-        "ticks": {"count": 1, "missed": 0, "lateness_us": lateness, "duration_us": {"whole": lateness}},
-    }  # fmt: skip
+    times = Times(p50=0.0, p90=0.0, p99=0.0, max=0.0)
+    counts = dict.fromkeys(
+        (
+            "received", "sent", "rejected", "dropped", "errors", "overflowed", "overruns", "late", "lost", "doubled",
+            "reordered", "implausible", "recent_errors", "predicted",
+        ),
+        0,
+    )  # fmt: skip
+    code = TripCode.FOLLOWING_ERROR
+    report = AxisReport(
+        axis=AxisStatus(
+            name=text, unit=text, effort_unit=text, state=State.TRIPPED, cia402=text, referenced=False, reference=None,
+            reference_lost=text, position=1.0, feedback_age_ms=None, velocity=None, disturbance=None, effort=0.0,
+            target=None, following_error=0.0, saturated=False,
+        ),
+        move=None,
+        trip=TripStatus(
+            code=code, cause=text, next_action=text, tick=1, reaction=text, escalation=None, codes=[code, code],
+            file=text, file_error=text,
+        ),
+        drive=DriveStatus(
+            enabled=None, disabling=False, moved=1.0, lasting=[Trouble(code=code, cause=text, next_action=text)]
+        ),
+        inputs=InputStatus(safe_torque_off=True, positive_limit=None, negative_limit=None, home_switch=None),
+        frames=FrameStatus(
+            **counts, rejected_by_reason={}, errors_by_kind={}, age_us=None, feedback_to_command_us=None
+        ),
+        bus=BusStatus(channel=text, open=False, error=text, drive_state=None, controller=text, error_counters=None),
+    )  # fmt: skip
+    service = ServiceStatus(
+        version=text, pid=1, uptime_s=0.0, lease=LeaseStatus(holder=text), realtime=None,
+        ticks=TickStatus(count=1, missed=0, lateness_us=times, lateness_histogram=[], duration_us={"whole": times}),
+    )  # fmt: skip
+    status = Status(service, {text: report})
     print_line(lines_of(status))
     print_line(describe(status))
     assert harmless(screen.getvalue()[start:])

@@ -17,8 +17,8 @@ import pytest
 from twostage_servo.api import address, socket_trust
 from twostage_servo.api.address import find_socket
 from twostage_servo.api.socket_trust import UntrustedSocketError, check_folder, check_server, find_distrust
-from twostage_servo.cli.client import Client
-from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.client.blocking import connect
+from twostage_servo.client.errors import Reason, Unreachable
 
 ME, SERVICE, EVIL, GROUP = 1000, 999, 1001, 500
 
@@ -314,22 +314,22 @@ def test_an_impostor_is_sent_nothing(owned: Owned, tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as impostor:
         impostor.bind(str(folder / "control.sock"))
         impostor.listen(1)
-        with pytest.raises(CommandError, match=f"is user {EVIL}'s") as refused:
-            Client(folder / "control.sock")
+        with pytest.raises(Unreachable, match=f"is user {EVIL}'s") as refused:
+            connect(folder / "control.sock")
         heard, _ = impostor.accept()
         with heard:
             assert heard.recv(100) == b""
-    assert (refused.value.exit_code, refused.value.code) == (ExitCode.UNREACHABLE, "untrusted_socket")
-    with pytest.raises(CommandError, match=f"is user {EVIL}'s") as refused:
-        Client(folder / "control.sock")  # whose owner has gone
-    assert refused.value.code == "untrusted_socket"
+    assert refused.value.code is Reason.UNTRUSTED
+    with pytest.raises(Unreachable, match=f"is user {EVIL}'s") as refused:
+        connect(folder / "control.sock")  # whose owner has gone
+    assert refused.value.code is Reason.UNTRUSTED
 
 
 HIJACK = """
 import json, os, shutil, socket, sys, tempfile
 from pathlib import Path
 import encodings.idna, encodings.ascii, encodings.utf_8
-import twostage_servo.cli.main as main, twostage_servo.cli.client, twostage_servo.cli.operate
+import twostage_servo.cli.main as main, twostage_servo.cli.operator_verbs
 import twostage_servo.api.address as address
 main.build_parser()
 shared, operator, evil = Path(sys.argv[1]), 54321, 54322
@@ -375,6 +375,6 @@ def test_a_stop_does_not_go_to_another_users_socket(tmp_path: Path, how: str) ->
         command = [sys.executable, "-c", HIJACK, shared, how]
         done = subprocess.run(command, capture_output=True, text=True, check=True)  # noqa: S603 - our own program
     seen = json.loads(done.stdout.splitlines()[-1])
-    assert seen["exit_code"] == ExitCode.UNREACHABLE
+    assert seen["exit_code"] == 4
     assert seen["heard"] in {"", "heard:."}
     assert "is user 54322's" in done.stderr

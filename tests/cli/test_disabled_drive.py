@@ -3,19 +3,19 @@
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
 
 import pytest
 
 from tests.service.rig import World, simulate
+from twostage_servo.api.fields import JsonObject
+from twostage_servo.api.requests import ReleaseRequest, Request, WatchRequest
+from twostage_servo.api.status import Status
 from twostage_servo.app.serve import Served
 from twostage_servo.axis.state import State
-from twostage_servo.cli import operate
-from twostage_servo.cli.client import Answer
 from twostage_servo.cli.main import main
+from twostage_servo.client import blocking
 
-Snapshots = dict[str, Answer]
+Snapshots = dict[str, JsonObject]
 
 
 @pytest.fixture(scope="module")
@@ -55,34 +55,32 @@ def snapshots() -> Snapshots:
 
 
 class Told:
-    """A client whose service answers with what was told, one after the other; the last one for ever."""
+    """A connection to a service that answers with what was told, one after the other; the last one for ever."""
 
-    def __init__(self, answers: list[Answer]) -> None:
+    def __init__(self, answers: list[JsonObject]) -> None:
+        self.path = Path("socket")
         self._answers = answers
-        self.requests: list[dict[str, Any]] = []
+        self.requests: list[JsonObject] = []
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        pass
-
-    def request(self, **fields: Any) -> Answer:
-        self.requests.append(fields)
+    def ask(self, request: Request, patience_s: float | None = None) -> JsonObject:
+        if isinstance(request, ReleaseRequest):
+            return self._answers[-1]
+        self.requests.append(request.to_json())
         return self._answers[0] if len(self._answers) == 1 else self._answers.pop(0)
 
-    def watch(self, _: int) -> Iterator[Answer]:
+    def snapshots(self, _: WatchRequest) -> Iterator[Status]:
         while len(self._answers) > 1:
-            yield self._answers.pop(0)
-        yield self._answers[0]
+            yield Status.from_json(self._answers.pop(0))
+        yield Status.from_json(self._answers[0])
+
+    def close(self) -> None:
+        pass
 
 
-def run(monkeypatch: pytest.MonkeyPatch, verb: str, *answers: Answer) -> tuple[int, Told]:
-    client = Told(list(answers))
-    monkeypatch.setattr(operate, "_connect", lambda _: client)
-    return main([verb]), client
+def run(monkeypatch: pytest.MonkeyPatch, verb: str, *answers: JsonObject) -> tuple[int, Told]:
+    told = Told(list(answers))
+    monkeypatch.setattr(blocking, "Connection", lambda *_: told)
+    return main([verb, "--socket", "socket"]), told
 
 
 @pytest.mark.parametrize("verb", ["disarm", "reset", "stop"])

@@ -27,7 +27,7 @@ entry_point()
         ("twostage_servo.cli.engineer", ["--version"]),
         ("pydantic", ["check"]),
         ("numpy", ["design"]),
-        ("twostage_servo.cli.client", ["stop"]),
+        ("twostage_servo.client.blocking", ["stop"]),
     ],
 )
 def test_an_interrupt_in_an_import_is_130_without_a_traceback(module: str, arguments: list[str]) -> None:

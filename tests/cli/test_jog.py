@@ -2,18 +2,18 @@
 
 import copy
 import json
-from typing import Any
 
 import pytest
 
 from tests.cli.test_disabled_drive import Told
 from tests.service.rig import World, simulate
+from twostage_servo.api.fields import JsonObject
+from twostage_servo.api.requests import JogRequest, Request
 from twostage_servo.axis.state import State
-from twostage_servo.cli import operate
-from twostage_servo.cli.client import Answer
 from twostage_servo.cli.main import main
+from twostage_servo.client import blocking, verbs
 
-Snapshots = dict[str, Answer]
+Snapshots = dict[str, JsonObject]
 
 
 @pytest.fixture(scope="module")
@@ -47,13 +47,18 @@ def snapshots() -> Snapshots:
 class Service(Told):
     """A service whose answers depend on what has been asked: to `jog` it jogs, then it tells what came of it."""
 
-    def __init__(self, jogging: Answer, then: Answer) -> None:
+    def __init__(self, jogging: JsonObject, then: JsonObject) -> None:
         super().__init__([then])
         self._jogging = jogging
 
-    def request(self, **fields: Any) -> Answer:
-        self.requests.append(fields)
-        return self._jogging if fields["op"] == "jog" else self._answers[0]
+    def ask(self, request: Request, patience_s: float | None = None) -> JsonObject:
+        answer = super().ask(request, patience_s)
+        return self._jogging if isinstance(request, JogRequest) else answer
+
+
+@pytest.fixture(autouse=True)
+def no_time_between(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verbs, "JOG_INTERVAL_S", 0.0)
 
 
 @pytest.mark.parametrize("then", ["not renewed", "another jog", "disarmed", "armed anew"])
@@ -61,18 +66,16 @@ class Service(Told):
 def test_a_jog_that_something_else_has_ended_was_not_done(
     monkeypatch: pytest.MonkeyPatch, snapshots: Snapshots, then: str, seconds: list[str]
 ) -> None:
-    client = Service(snapshots["jogging"], snapshots[then])
-    monkeypatch.setattr(operate, "_connect", lambda _: client)
-    monkeypatch.setattr(operate, "_JOG_INTERVAL_S", 0.0)
-    monkeypatch.setattr(operate, "_wait_while", lambda *_: snapshots[then])
-    assert main(["jog", "50", *seconds]) == 3
-    assert [request["op"] for request in client.requests if request["op"] != "status"] == ["jog"]
+    service = Service(snapshots["jogging"], snapshots[then])
+    monkeypatch.setattr(blocking, "Connection", lambda *_: service)
+    monkeypatch.setattr(verbs, "_none_in", lambda _: lambda _: True)  # it is at rest by then
+    assert main(["jog", "50", *seconds, "--socket", "socket"]) == 3
+    assert [request["op"] for request in service.requests if request["op"] != "status"] == ["jog"]
 
 
 def test_a_jog_that_has_come_to_its_limit_was(monkeypatch: pytest.MonkeyPatch, snapshots: Snapshots) -> None:
     at_limit = copy.deepcopy(snapshots["not renewed"])
     at_limit["move"] |= {"outcome": "reached", "reason": None}
-    client = Service(snapshots["jogging"], at_limit)
-    monkeypatch.setattr(operate, "_connect", lambda _: client)
-    monkeypatch.setattr(operate, "_JOG_INTERVAL_S", 0.0)
-    assert main(["jog", "50"]) == 0
+    service = Service(snapshots["jogging"], at_limit)
+    monkeypatch.setattr(blocking, "Connection", lambda *_: service)
+    assert main(["jog", "50", "--socket", "socket"]) == 0

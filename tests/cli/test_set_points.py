@@ -1,12 +1,10 @@
 """How a set-point is typed: of the only axis, relative, or of several axes by their names."""
 
-from typing import Any
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twostage_servo.cli import operate
+from twostage_servo.cli import operator_verbs
 from twostage_servo.cli.main import build_parser
 from twostage_servo.cli.output import CommandError
 from twostage_servo.cli.typed_numbers import decimal
@@ -15,20 +13,21 @@ from twostage_servo.cli.typed_numbers import decimal
 @pytest.mark.parametrize(
     ("typed", "wanted"),
     [
-        (["-12.5"], {"position": -12.5}),
-        (["--by", "-1e1"], {"by": -10.0}),
-        (["x=4"], {"positions": {"x": 4.0}}),
-        (["x=4", "y-2=-5.5"], {"positions": {"x": 4.0, "y-2": -5.5}}),
+        (["-12.5"], -12.5),
+        (["0"], 0.0),
+        (["--by", "-1e1"], None),
+        (["x=4"], {"x": 4.0}),
+        (["x=4", "y-2=-5.5"], {"x": 4.0, "y-2": -5.5}),
     ],
 )
-def test_it_becomes_what_the_service_is_asked_for(typed: list[str], wanted: dict[str, Any]) -> None:
-    assert operate._wanted(build_parser().parse_args(["move", *typed])) == wanted
+def test_it_becomes_what_the_service_is_asked_for(typed: list[str], wanted: float | dict[str, float] | None) -> None:
+    assert operator_verbs._wanted(build_parser().parse_args(["move", *typed])) == wanted
 
 
 @pytest.mark.parametrize("typed", [[], ["1", "2"], ["1", "x=2"], ["x=1", "x=2"], ["1", "--by", "2"]])
 def test_anything_else_is_explained(typed: list[str]) -> None:
     with pytest.raises(CommandError, match="NAME=POSITION"):
-        operate._wanted(build_parser().parse_args(["move", *typed]))
+        operator_verbs._wanted(build_parser().parse_args(["move", *typed]))
 
 
 @pytest.mark.parametrize(

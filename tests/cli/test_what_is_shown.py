@@ -7,9 +7,11 @@ import pytest
 
 from tests.cli.test_disabled_drive import Snapshots, run
 from tests.service.rig import World, simulate
+from twostage_servo.api.fields import JsonObject
+from twostage_servo.api.requests import Request, StopRequest
+from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.cli.client import Answer
-from twostage_servo.cli.output import CommandError, ExitCode
+from twostage_servo.client.errors import Refused
 from twostage_servo.telemetry.trip_files import TripFiles
 
 CLOSED = "the bus is closed: socketcan can0 cannot be opened: Network is down"
@@ -71,8 +73,6 @@ def test_a_verb_after_which_the_drive_should_be_off_says_that_nobody_knows_wheth
 def test_each_verb_names_a_bus_that_is_closed_and_a_drive_that_has_never_been_heard(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], shown: Snapshots, verb: str
 ) -> None:
-    monkeypatch.setattr("tests.cli.test_disabled_drive.Told.be_patient", lambda *_: None, raising=False)
-    monkeypatch.setattr("tests.cli.test_disabled_drive.Told.watch", lambda self, _: iter([self.request()]))
     assert run(monkeypatch, verb, shown["closed"])[0] == 0
     assert CLOSED in capsys.readouterr().out
     never_heard = shown["start"] | {"bus": shown["disarmed"]["bus"]}
@@ -83,14 +83,14 @@ def test_each_verb_names_a_bus_that_is_closed_and_a_drive_that_has_never_been_he
 def test_a_stop_of_what_is_disarmed_is_done_if_the_drive_is_off(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], shown: Snapshots
 ) -> None:
-    told: list[Answer] = []
+    told: list[JsonObject] = []
 
-    def refuse(self: object, **fields: object) -> Answer:
-        if fields["op"] == "stop":
-            raise CommandError(ExitCode.FAILED, "disarmed", "there is nothing to stop.")
+    def refuse(self: object, request: Request, patience_s: float | None = None) -> JsonObject:
+        if isinstance(request, StopRequest):
+            raise Refused(RefusalCode.DISARMED, "there is nothing to stop.")
         return told[0]
 
-    monkeypatch.setattr("tests.cli.test_disabled_drive.Told.request", refuse)
+    monkeypatch.setattr("tests.cli.test_disabled_drive.Told.ask", refuse)
     for name, code in (("disarmed", 0), ("closed", 3)):
         told[:] = [shown[name]]
         assert run(monkeypatch, "stop", shown[name])[0] == code

@@ -11,6 +11,7 @@ import structlog
 from tests.service.rig import World, simulate
 from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
 from twostage_servo.api.request_reading import read_request
+from twostage_servo.api.status import Status
 from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
@@ -158,7 +159,11 @@ def test_a_service_that_starts_again_says_that_a_place_is_no_longer_known() -> N
 
 def test_status_says_on_what_positions_rest() -> None:
     def told(world: World) -> str:
-        (line,) = [line for line in describe(world.loop.snapshot()).splitlines() if line.startswith("positions ")]
+        (line,) = [
+            line
+            for line in describe(Status.from_json(world.loop.snapshot())).splitlines()
+            if line.startswith("positions ")
+        ]
         return line.removeprefix("positions").strip()
 
     async def script(world: World) -> None:

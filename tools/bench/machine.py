@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from tools.bench.children import ROOT, ChildError, child, first_line, module
 from tools.bench.plan import PATIENT
-from twostage_servo.cli.client import Client
-from twostage_servo.cli.output import CommandError
+from twostage_servo.api.request_reading import read_request
+from twostage_servo.api.requests import StatusRequest
+from twostage_servo.client.connection import Connection
+from twostage_servo.client.errors import ServoError
 
 if TYPE_CHECKING:
     import subprocess
@@ -24,6 +26,7 @@ _CONFIG: Final = ROOT / "config" / "two_processes.toml"
 _PORT: Final = re.compile(r"port = \d+")
 _OVERRIDES: Final = (*PATIENT, "simulation.command_timeout_ms=1000", "simulation.hub=false")
 _LONGEST_START_S: Final = 60.0
+_LONGEST_ANSWER_S: Final = 5.0
 _FAR: Final = 2400.0
 """A set-point near the end of the travel: at 100 mm/s the axis is on its way for the whole measurement."""
 
@@ -106,8 +109,8 @@ class Machine:
                     pass
             except TimeoutError as error:
                 raise ChildError(f"the service was not ready in time: {log_path.read_text()[-300:]}") from error
-            client = stack.enter_context(Client(self.control_socket))
-            client.request(op="status")
+            client = stack.enter_context(contextlib.closing(Connection(self.control_socket, _LONGEST_ANSWER_S)))
+            client.ask(StatusRequest())
             yield Service(process, client, time.monotonic() - begun_s)
 
     def send_afar(self, service: "Service") -> None:
@@ -146,7 +149,7 @@ class Service:
         Whether the axis has been armed.
     """
 
-    def __init__(self, process: "subprocess.Popen[str]", client: Client, start_s: float) -> None:
+    def __init__(self, process: "subprocess.Popen[str]", client: Connection, start_s: float) -> None:
         self.process = process
         self.start_s = start_s
         self.driven = False
@@ -161,8 +164,8 @@ class Service:
             If it is refused.
         """
         try:
-            return self._client.request(**request)
-        except CommandError as error:
+            return self._client.ask(read_request(request))
+        except ServoError as error:
             raise ChildError(f"the service refuses {request}: {error}") from error
 
     def insist(self, **request: Any) -> None:
@@ -176,8 +179,8 @@ class Service:
         end_s = time.monotonic() + _LONGEST_START_S
         while True:
             try:
-                self._client.request(**request)
-            except CommandError as error:
+                self._client.ask(read_request(request))
+            except ServoError as error:
                 if time.monotonic() > end_s:
                     raise ChildError(f"the service refuses {request}: {error}") from error
                 time.sleep(0.05)

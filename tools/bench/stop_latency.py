@@ -17,8 +17,9 @@ from tools.bench.load import hogs
 from tools.bench.machine import Machine
 from tools.bench.plan import Plan
 from tools.bench.summary import summarise
-from twostage_servo.cli.client import Client
-from twostage_servo.cli.output import CommandError
+from twostage_servo.axis.refusals import RefusalCode
+from twostage_servo.client.blocking import connect
+from twostage_servo.client.errors import ServoError, Unreachable
 
 CONTENDERS: Final = ("none", *client_load.KINDS, *stop_load.KINDS, "hogs", "eight_axes", "everything")
 """What runs beside the one who stops; ``everything`` is all of :mod:`tools.bench.stop_load`, the hogs and 8 axes."""
@@ -95,21 +96,21 @@ def ask(path: Path, count: int) -> dict[str, Any]:
         time.sleep(random.uniform(0.0, _LONGEST_PAUSE_S))  # noqa: S311 - so that the ticks do not beat with it
         begun_s = time.monotonic()
         try:
-            client = Client(path, _LONGEST_ANSWER_S)
-        except CommandError as error:
+            client = connect(path, timeout_s=_LONGEST_ANSWER_S)
+        except ServoError as error:
             print(f"lost: {error}", file=sys.stderr)
             lost += 1
             continue
         try:
-            client.request(op="stop")
-        except CommandError as error:
-            if error.code in {"no_answer", "connection_lost", "too_many_clients"}:
+            client.stop(wait=False)
+        except ServoError as error:
+            if isinstance(error, Unreachable) or error.code == RefusalCode.TOO_MANY_CLIENTS:
                 print(f"lost: {error}", file=sys.stderr)
                 lost += 1
                 continue
         finally:
             ended_s = time.monotonic()
-            repeated += client.repeated
+            repeated += client.reconnected
             client.close()
         if number:
             taken_us.append(round(1e6 * (ended_s - begun_s), 1))

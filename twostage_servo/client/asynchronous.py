@@ -157,7 +157,7 @@ class AsyncServoClient:
         try:
             if error is not None and self._authority.is_held:
                 with contextlib.suppress(ServoError):
-                    await self._run(self._verbs.stop_now())
+                    await self._run(self._verbs.stop())
         finally:
             await self.close()
 
@@ -209,9 +209,12 @@ class AsyncServoClient:
         """Bring the axis to rest and disable the drive; return when that is seen to be off."""
         return await self._run(self._verbs.disarm())
 
-    async def stop(self, *, quick: bool = False) -> Status:
-        """Bring the axis to rest, whoever commands it, with the quick stop deceleration or not; return at rest."""
-        return await self._run(self._verbs.stop(quick=quick))
+    async def stop(self, *, quick: bool = False, wait: bool = True) -> Status:
+        """Bring the axis to rest, whoever commands it; with `quick` with the quick stop deceleration.
+
+        It returns at rest, or with `wait=False` as soon as the service has heard it.
+        """
+        return await self._run(self._verbs.stop(quick=quick, wait=wait))
 
     async def reset(self) -> Status:
         """Clear a trip; the axis is disarmed afterwards."""
@@ -264,6 +267,10 @@ class AsyncServoClient:
         """Return when the motion that is under way has reached its end."""
         return await self._run(self._verbs.wait_until_reached(timeout_s=timeout, progress=progress))
 
+    async def wait_until_settled(self) -> Status:
+        """Return when no axis brakes, and each drive that was told to disable is seen to be off."""
+        return await self._run(self._verbs.settled())
+
     async def jog(self, velocity: float, seconds: float = math.inf, *, progress: Progress | None = None) -> Status:
         """Move at a velocity for a time, or to the limit; return at rest."""
         return await self._run(self._verbs.jog(velocity, seconds, progress))
@@ -283,7 +290,7 @@ class AsyncServoClient:
             shall_end.set()
             with contextlib.suppress(ServoError):
                 await jog
-                await self._run(self._verbs.stop_now())
+                await self._run(self._verbs.stop())
             raise
         shall_end.set()
         status = await jog

@@ -91,7 +91,7 @@ class ServoClient:
         try:
             if error is not None and self._authority.is_held:
                 with contextlib.suppress(ServoError):
-                    self._run(self._verbs.stop_now())
+                    self._run(self._verbs.stop())
         finally:
             self.close()
 
@@ -103,6 +103,11 @@ class ServoClient:
                     self._run(self._verbs.release(PARTING_S))
         finally:
             self._connection.close()
+
+    @property
+    def reconnected(self) -> int:
+        """How often a `stop` or a `disarm` was asked for again, over a connection anew."""
+        return self._connection.reconnected
 
     # Looking ---------------------------------------------------------------------------------------------------------
 
@@ -147,9 +152,12 @@ class ServoClient:
         """Bring the axis to rest and disable the drive; return when that is seen to be off."""
         return self._run(self._verbs.disarm())
 
-    def stop(self, *, quick: bool = False) -> Status:
-        """Bring the axis to rest, whoever commands it, with the quick stop deceleration or not; return at rest."""
-        return self._run(self._verbs.stop(quick=quick))
+    def stop(self, *, quick: bool = False, wait: bool = True) -> Status:
+        """Bring the axis to rest, whoever commands it; with `quick` with the quick stop deceleration.
+
+        It returns at rest, or with `wait=False` as soon as the service has heard it.
+        """
+        return self._run(self._verbs.stop(quick=quick, wait=wait))
 
     def reset(self) -> Status:
         """Clear a trip; the axis is disarmed afterwards."""
@@ -208,6 +216,10 @@ class ServoClient:
         """Return when the motion that is under way has reached its end."""
         return self._run(self._verbs.wait_until_reached(timeout_s=timeout, progress=progress))
 
+    def wait_until_settled(self) -> Status:
+        """Return when no axis brakes, and each drive that was told to disable is seen to be off."""
+        return self._run(self._verbs.settled())
+
     def jog(self, velocity: float, seconds: float = math.inf, *, progress: Progress | None = None) -> Status:
         """Move at a velocity for a time, or to the limit; return at rest."""
         return self._run(self._verbs.jog(velocity, seconds, progress))
@@ -226,7 +238,7 @@ class ServoClient:
         except BaseException:
             with contextlib.suppress(ServoError):
                 jog.end()
-                self._run(self._verbs.stop_now())
+                self._run(self._verbs.stop())
             raise
         status = jog.end()
         self._run(self._verbs.end_jog(status, number, is_over=is_jogging(status, number)))
@@ -260,7 +272,9 @@ class ServoClient:
                 return self._connection.ask(request, patience_s)
             case Until(watch, condition):
                 with contextlib.closing(self._snapshots(watch)) as snapshots:
-                    return next(status for status in snapshots if condition(status))
+                    for status in snapshots:
+                        if condition(status):
+                            return status
             case Reconnect(within_s):
                 self._connection.reconnect(within_s)
             case Pause(seconds):

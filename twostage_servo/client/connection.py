@@ -28,6 +28,11 @@ class Connection:
     timeout_s
         Longest wait for the connection, and for an answer.
 
+    Attributes
+    ----------
+    reconnected
+        How often it was made anew.
+
     Raises
     ------
     ServoError
@@ -36,6 +41,7 @@ class Connection:
 
     def __init__(self, path: Path, timeout_s: float) -> None:
         self.path = path
+        self.reconnected = 0
         self._timeout_s = timeout_s
         self._lock = threading.Lock()
         self._open(timeout_s)
@@ -50,6 +56,7 @@ class Connection:
         with self._lock:
             self._socket.close()
             self._open(within_s)
+            self.reconnected += 1
 
     def close(self) -> None:
         """End the connection."""

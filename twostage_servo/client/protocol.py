@@ -34,7 +34,7 @@ class Protocol:
     Attributes
     ----------
     snapshots
-        Those that have come and were not taken yet, oldest first.
+        Those that have come and were not taken yet, oldest first; the last one may be a refusal.
     """
 
     def __init__(self, where: object) -> None:
@@ -71,7 +71,8 @@ class Protocol:
             raise unreadable(self._where, error) from error
         if not isinstance(fields, dict):
             raise unreadable(self._where, "it is no object")
-        if fields.get(_EVENT):
+        is_asked_for = self._answered < self._sent or fields.get("ok", True)
+        if fields.get(_EVENT) or not is_asked_for:  # a service says so before it closes a watcher's connection
             self.snapshots.append(fields)
         else:
             self._answered += 1
@@ -90,7 +91,6 @@ class Protocol:
         answer = self._answers.pop(number, None)
         if answer is None and self._answered >= number:
             raise self.lost("its answer was taken by another")
-        # Of one client too many the service says so, unasked, and closes the connection.
         return answer if answer is None else checked(answer)
 
     def lost(self, why: object) -> Unreachable:

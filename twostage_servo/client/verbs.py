@@ -172,14 +172,10 @@ class Verbs:
         yield from self._asked(DisarmRequest(axis=self._axis))
         return (yield from self.settled())
 
-    def stop(self, *, quick: bool) -> Verb[Status]:
-        """Stop, and wait until the axis is at rest."""
-        yield from self._asked(StopRequest(axis=self._axis, quick=quick))
-        return (yield from self.settled())
-
-    def stop_now(self) -> Verb[Status]:
-        """Stop, and do not wait."""
-        return (yield from self._asked(StopRequest(axis=self._axis)))
+    def stop(self, *, quick: bool = False, wait: bool = False) -> Verb[Status]:
+        """Stop, and wait until the axis is at rest, or not."""
+        begun = yield from self._asked(StopRequest(axis=self._axis, quick=quick))
+        return (yield from self.settled()) if wait else begun
 
     def settled(self) -> Verb[Status]:
         """Wait until no axis brakes, and each drive that is told to disable is seen to be off."""
@@ -307,7 +303,7 @@ class Verbs:
     def end_jog(self, status: Status, number: int | None, *, is_over: bool) -> Verb[Status]:
         """Bring a jog to rest; raise what has ended it before its time."""
         if status.axis.state is State.JOGGING and _number_of(status.only) == number:
-            yield from self.stop_now()
+            yield from self.stop()
         rest = yield from self.settled()
         reached = _number_of(status.only) == number and _outcome_of(status.only) is MoveOutcome.REACHED
         if not (is_over or reached):
@@ -344,7 +340,7 @@ def _ended(report: AxisReport, status: Status, text: str = "") -> ServoError:
     """Return why a motion has ended before its time."""
     if report.trip is not None:
         return Tripped(report.trip, status)
-    outcome = _outcome_of(report) or MoveOutcome.STOPPED
+    outcome = MoveOutcome.STOPPED if text else _outcome_of(report) or MoveOutcome.STOPPED
     why = f": {report.move.reason}" if report.move is not None and report.move.reason else ""
     return Interrupted(outcome, text or f"the motion of {report.axis.name} was {outcome} before its end{why}", status)
 
