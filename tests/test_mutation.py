@@ -21,7 +21,7 @@ KEYS = [f"service.loop:f{number}: - a + b" for number in range(1000)]
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    for name in ("twostage_servo/service/loop.py", "twostage_servo/cli/client.py", "tests/service/test_loop.py"):
+    for name in ("twostage_servo/service/loop.py", "twostage_servo/client/verbs.py", "tests/service/test_loop.py"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("a = 1\n")
     return tmp_path
@@ -58,7 +58,7 @@ def test_a_share_that_is_none_is_refused(text: str) -> None:
 def test_a_room_has_its_files_and_the_tests_that_there_are(tree: Path) -> None:
     assert files_of(ROOMS["service"], tree) == ["twostage_servo/service/loop.py"]
     assert files_of(ROOMS["service"], tree, ["port.py"]) == []
-    assert files_of(ROOMS["client"], tree) == ["twostage_servo/cli/client.py"]
+    assert files_of(ROOMS["client"], tree) == ["twostage_servo/client/verbs.py"]
     assert paths_of_tests(ROOMS["service"], tree) == ["tests/service"]
     assert paths_of_tests(Room((), ("tests/none",)), tree) == []
 
@@ -132,10 +132,10 @@ def test_nothing_is_kept_without_a_file(tree: Path) -> None:
 
 
 def test_a_digest_is_of_names_and_contents(tree: Path) -> None:
-    before = digest(tree, ["tests", "twostage_servo/cli/client.py"])
-    assert before == digest(tree, ["twostage_servo/cli/client.py", "tests"])
+    before = digest(tree, ["tests", "twostage_servo/client/verbs.py"])
+    assert before == digest(tree, ["twostage_servo/client/verbs.py", "tests"])
     (tree / "tests/service/test_loop.py").rename(tree / "tests/service/test_other.py")
-    assert digest(tree, ["tests", "twostage_servo/cli/client.py"]) != before
+    assert digest(tree, ["tests", "twostage_servo/client/verbs.py"]) != before
 
 
 # What is said ---------------------------------------------------------------------------------------------------------

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from twostage_servo.version import __version__
 
 if TYPE_CHECKING:
+    from twostage_servo.api.status import Status
     from twostage_servo.client.asynchronous import AsyncServoClient, connect_async
     from twostage_servo.client.blocking import ServoClient, connect
     from twostage_servo.client.errors import (
@@ -27,6 +28,7 @@ __all__ = [
     "Refused",
     "ServoClient",
     "ServoError",
+    "Status",
     "TimedOut",
     "Tripped",
     "Unreachable",
@@ -36,10 +38,11 @@ __all__ = [
 ]
 
 _HOMES = {
-    "AsyncServoClient": "asynchronous",
-    "connect_async": "asynchronous",
-    "ServoClient": "blocking",
-    "connect": "blocking",
+    "AsyncServoClient": "client.asynchronous",
+    "connect_async": "client.asynchronous",
+    "ServoClient": "client.blocking",
+    "connect": "client.blocking",
+    "Status": "api.status",
 }
 """Where the public names are; those of no mention are errors."""
 
@@ -50,6 +53,6 @@ def __getattr__(name: str) -> object:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     import importlib  # noqa: PLC0415
 
-    module = importlib.import_module(f"twostage_servo.client.{_HOMES.get(name, 'errors')}")
+    module = importlib.import_module(f"twostage_servo.{_HOMES.get(name, 'client.errors')}")
     value = globals()[name] = getattr(module, name)
     return value

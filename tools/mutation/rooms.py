@@ -52,7 +52,7 @@ ROOMS = {
             "tests/canbus/test_slow_opening.py",
         ),
     ),
-    "client": Room(("cli/client.py", "client"), ("tests/cli", "tests/client", "tests/api/test_socket_trust.py")),
+    "client": Room(("client",), ("tests/cli", "tests/client", "tests/api/test_socket_trust.py")),
 }
 
 
