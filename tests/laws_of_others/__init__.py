@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from twostage_servo.axis import settings
+from twostage_servo.axis import law_settings
 from twostage_servo.control.laws import registry
 
 HERE = Path(__file__).parent
@@ -15,7 +15,7 @@ HERE = Path(__file__).parent
 def forget_laws() -> None:
     """Let the laws be looked for anew."""
     registry.law_type.cache_clear()
-    settings._with_tables.cache_clear()
+    law_settings._with_tables.cache_clear()
 
 
 def install(folder: Path, entry_points: str) -> None:

@@ -1,16 +1,10 @@
 """The tables ``[axis]`` and below: what the axis is, how its law is designed, and what it must never exceed."""
 
-import contextlib
-import functools
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import BeforeValidator, Field, ValidationError, create_model, field_validator, model_validator
-from pydantic.fields import FieldInfo
-from pydantic_core import InitErrorDetails, PydanticCustomError
+from pydantic import BeforeValidator, Field, model_validator
 
-from twostage_servo.control.laws.paper_type import PaperSettings
-from twostage_servo.control.laws.registry import PAPER, LawType, UnknownLawError, law_names, law_type
+from twostage_servo.axis.law_settings import LawSettings, choose_law
 from twostage_servo.exact import exact
 from twostage_servo.settings.base import Settings, quantity
 
@@ -34,103 +28,6 @@ class PlantSettings(Settings):
         if abs(self.gain) < 1e-9:
             raise ValueError(f"gain = {exact(self.gain)}: effort would not move this plant; give its gain, such as 180")
         return self
-
-
-class LawSettings(Settings):
-    """Which law drives the axis, with a table for the keys of each."""
-
-    type: str = Field(
-        PAPER, description="Name of the law; its keys stand in the table axis.law.<type>", min_length=1, max_length=64
-    )
-    performance_index_ratio: float | None = quantity(
-        None, unit="1", description="Older place of axis.law.paper.performance_index_ratio", ge=1e-12, le=1e6
-    )
-    paper: PaperSettings = Field(PaperSettings(), description="The two-stage law of the paper")
-
-    @field_validator("type")
-    @classmethod
-    def _installed(cls, name: str) -> str:
-        if name not in _tables(cls.model_fields):
-            try:
-                law_type(name)
-            except UnknownLawError as error:
-                raise ValueError(str(error)) from None
-            raise ValueError(f"{name!r} is no name of a law")
-        return name
-
-    @model_validator(mode="after")
-    def _one_place(self) -> Self:
-        """Take Q/R from where it stands, which is one place."""
-        ratio = self.performance_index_ratio
-        if ratio is None:
-            return self
-        if "performance_index_ratio" in self.paper.model_fields_set:
-            text = "stands in axis.law and in axis.law.paper: remove one of the two"
-            twice = PydanticCustomError("value_error", "twice", {"error": text})
-            keys = ("performance_index_ratio",), ("paper", "performance_index_ratio")
-            raise ValidationError.from_exception_data(
-                "LawSettings", [InitErrorDetails(type=twice, loc=key, input=ratio) for key in keys]
-            )
-        # Read as if it stood there, and not as one that does: an instance may be checked again.
-        there = PaperSettings.model_construct(_fields_set=set(), performance_index_ratio=ratio)
-        object.__setattr__(self, "paper", there)
-        return self
-
-    @classmethod
-    def all_fields(cls) -> Mapping[str, FieldInfo]:
-        """Return the keys, and the table of each law that is installed."""
-        fields = dict(cls.model_fields)
-        for name in law_names():
-            with contextlib.suppress(UnknownLawError):  # a package that is broken has no keys
-                fields.setdefault(name, _table_of(law_type(name)))
-        return fields
-
-    @property
-    def keys(self) -> Settings:
-        """The keys of the law that drives the axis."""
-        table: Settings = getattr(self, self.type)
-        return table
-
-    @property
-    def place_of_ratio(self) -> tuple[str, ...]:
-        """Where Q/R stands, below ``axis.law``."""
-        return (
-            ("performance_index_ratio",)
-            if self.performance_index_ratio is not None
-            else (PAPER, "performance_index_ratio")
-        )
-
-
-def _tables(fields: Mapping[str, FieldInfo]) -> list[str]:
-    """Return the names of those fields that are tables: the laws."""
-    return [name for name, field in fields.items() if isinstance(field.annotation, type(Settings))]
-
-
-def _table_of(law: LawType) -> FieldInfo:
-    return FieldInfo(annotation=law.settings, default=law.settings(), description="Another law")
-
-
-@functools.cache
-def _with_tables(names: tuple[str, ...]) -> type[LawSettings]:
-    """Return the settings of a law with a table for each of these laws, as far as they are installed."""
-    tables: dict[str, Any] = {}
-    for name in names:
-        with contextlib.suppress(UnknownLawError):
-            law = law_type(name)
-            tables[name] = (law.settings, law.settings())
-    return create_model("LawSettings", __base__=LawSettings, **tables) if tables else LawSettings
-
-
-def _choose_law(value: object) -> object:
-    """Read ``[axis.law]`` with the tables of those laws that it names; only then are the installed ones looked for."""
-    if not isinstance(value, dict):
-        return value
-    known = LawSettings.model_fields
-    names = [name for name, table in value.items() if isinstance(table, dict) and name not in known]
-    chosen = value.get("type")
-    if isinstance(chosen, str) and chosen not in {*known, *names}:
-        names.append(chosen)
-    return _with_tables(tuple(names)).model_validate(value) if names else value
 
 
 class ObserverSettings(Settings):
@@ -350,7 +247,7 @@ class AxisSettings(Settings):
         le=2_000.0,
     )
     plant: PlantSettings
-    law: Annotated[LawSettings, BeforeValidator(_choose_law)] = LawSettings()
+    law: Annotated[LawSettings, BeforeValidator(choose_law)] = LawSettings()
     observer: ObserverSettings = ObserverSettings()
     limits: LimitSettings
     window: WindowSettings
