@@ -141,7 +141,7 @@ def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -
         version=text, pid=1, uptime_s=0.0, lease=LeaseStatus(holder=text), realtime=None,
         ticks=TickStatus(count=1, missed=0, lateness_us=times, lateness_histogram=[], duration_us={"whole": times}),
     )  # fmt: skip
-    status = Status(service, {text: report})
+    status = Status(service=service, axes={text: report})
     print_line(lines_of(status))
     print_line(describe(status))
     assert harmless(screen.getvalue()[start:])

@@ -1,15 +1,14 @@
 """What a field of a request may hold: its kind, its bounds, its unit, and what is said of a value that does not fit."""
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, Protocol
+
+from twostage_servo.api.plain import Plain
 
 JsonObject = dict[str, Any]
 """An object of JSON, as the standard library reads and writes it."""
 
-_KEY: Final = "kind"
 _LONGEST_WORD: Final = 40
 """Characters of what a client has sent that an answer repeats."""
 
@@ -31,8 +30,7 @@ class Kind(Protocol):
         """Return the JSON schema of the field."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Text:
+class Text(Plain):
     """Characters, up to a number of them."""
 
     description: str
@@ -55,8 +53,7 @@ class Text:
         return {"type": "string", "maxLength": self.longest, "description": self.description}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Flag:
+class Flag(Plain):
     """True or false."""
 
     description: str
@@ -74,8 +71,7 @@ class Flag:
         return {"type": "boolean", "description": self.description}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Number:
+class Number(Plain):
     """A finite number with a unit and bounds.
 
     Attributes
@@ -127,8 +123,7 @@ class Number:
         }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NumbersByName:
+class NumbersByName(Plain):
     """An object whose values are numbers, from 1 of them up to the most."""
 
     description: str
@@ -164,27 +159,6 @@ class NumbersByName:
             "maxProperties": self.most,
             "description": self.description,
         }
-
-
-_KINDS: Final[dict[type[Any], Mapping[str, Kind]]] = {}
-
-
-def holds(kind: Kind) -> Mapping[str, Kind]:
-    """Return the metadata of a dataclass' field of this kind."""
-    return {_KEY: kind}
-
-
-def kinds_of(message: type[Any]) -> Mapping[str, Kind]:
-    """Return the kinds of a message's fields by their names."""
-    known = _KINDS.get(message)
-    if known is None:
-        known = _KINDS[message] = {field.name: field.metadata[_KEY] for field in dataclasses.fields(message)}
-    return known
-
-
-def required_of(message: type[Any]) -> tuple[str, ...]:
-    """Return the names of the fields that a message can't do without."""
-    return tuple(field.name for field in dataclasses.fields(message) if field.default is dataclasses.MISSING)
 
 
 def shortened(text: str) -> str:

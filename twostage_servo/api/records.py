@@ -1,6 +1,5 @@
-"""Dataclasses that are written to JSON and read from it, by the types of their fields."""
+"""Records that are written to JSON and read from it, by the types of their fields."""
 
-import dataclasses
 import enum
 import types
 import typing
@@ -8,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
 from twostage_servo.api.fields import JsonObject
+from twostage_servo.api.plain import Plain
 
 _Reader = Callable[[Any], Any]
 
@@ -16,12 +16,8 @@ class UnreadableError(ValueError):
     """An object of JSON is not what it should be; the text says which part of it."""
 
 
-class JsonRecord:
-    """Base of the dataclasses: it writes and reads them.
-
-    Their objects are not to be changed. They are not frozen all the same: the service makes a hundred of them in each
-    tick in which somebody looks, and a frozen one takes three times as long to make.
-    """
+class JsonRecord(Plain):
+    """Base of the records: it writes and reads them."""
 
     _readers: ClassVar[dict[str, _Reader] | None] = None
 
@@ -40,8 +36,8 @@ class JsonRecord:
         """
         readers = cls.__dict__.get("_readers")
         if readers is None:
-            hints = typing.get_type_hints(cls)
-            readers = {field.name: _reader_of(hints[field.name]) for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+            hints = cls.__annotations__
+            readers = {name: _reader_of(hints[name]) for name in cls.field_names}
             cls._readers = readers
         if not isinstance(fields, dict):
             raise UnreadableError(f"{cls.__name__}: an object is needed")

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
-from twostage_servo.api.fields import JsonObject, kinds_of, required_of, shortened
+from twostage_servo.api.fields import JsonObject, shortened
 from twostage_servo.api.requests import MOST_PROBLEMS, OPERATIONS, READING, BadRequestError, Request
 
 LONGEST_LINE: Final = 4096
@@ -104,13 +104,13 @@ _READER: Final = json.JSONDecoder(object_pairs_hook=_each_key_once)
 
 def _problems(fields: JsonObject, model: type[Request]) -> Iterator[str]:
     """Yield what is wrong with the names of the fields, and with what is missing; the rest is the request's own."""
-    kinds = kinds_of(model)
+    kinds = model.kinds
     for name, value in fields.items():
         if name not in kinds and name != "op":
             yield f"{shortened(name)}: no such key (there are {', '.join(_keys_of(kinds))})"
         elif value is None:
             yield f"{name} is null: give it a value, or leave it out"
-    for name in required_of(model):
+    for name in model.required_names:
         if name not in fields:
             yield f"{name}: it has to be given"
 

@@ -1,9 +1,9 @@
 """The control socket's requests: one JSON object a line, told apart by ``op``."""
 
-from dataclasses import dataclass, field
-from typing import ClassVar, Final, get_args
+from typing import Any, ClassVar, Final, dataclass_transform, get_args
 
-from twostage_servo.api.fields import Flag, JsonObject, Number, NumbersByName, Text, holds, kinds_of
+from twostage_servo.api.fields import Flag, JsonObject, Kind, Number, NumbersByName, Text
+from twostage_servo.api.plain import Plain
 
 MOST_PROBLEMS: Final = 5
 """Problems of a request that its refusal names."""
@@ -16,8 +16,21 @@ class BadRequestError(ValueError):
     """No request; the text says why, for whoever wrote it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Request:
+class _Field:
+    """A field as it stands in the class of a request, until the class is made."""
+
+    def __init__(self, kind: Kind, default: Any) -> None:
+        self.kind = kind
+        self.default = default
+
+
+def holds(kind: Kind, *, default: Any = ...) -> Any:
+    """Declare a field of this kind; without a default it has to be given."""
+    return _Field(kind, default)
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(holds,))
+class _Request(Plain):
     """What all requests have in common.
 
     Raises
@@ -29,17 +42,30 @@ class _Request:
     op: ClassVar[str]
     renamed_to: ClassVar[str] = ""
     """The name that takes the place of ``op``, where that is an old one."""
+    kinds: ClassVar[dict[str, Kind]] = {}
+    """What each field holds, by its name."""
 
-    def __post_init__(self) -> None:
-        problems: list[str] = []
-        for name, kind in kinds_of(type(self)).items():
-            value = getattr(self, name)
+    def __init_subclass__(cls) -> None:
+        declared = {name: one for name, one in vars(cls).items() if isinstance(one, _Field)}
+        cls.kinds = cls.kinds | {name: one.kind for name, one in declared.items()}
+        for name, one in declared.items():
+            if one.default is ...:
+                delattr(cls, name)
+            else:
+                setattr(cls, name, one.default)
+        super().__init_subclass__()
+
+    def __init__(self, **values: Any) -> None:
+        super().__init__(**values)
+        taken, problems = self.__dict__, list[str]()
+        for name, kind in self.kinds.items():
+            value = taken[name]
             if value is None:
                 continue
             if found := kind.problems(name, value):
                 problems += found
             else:
-                object.__setattr__(self, name, kind.taken(value))
+                taken[name] = kind.taken(value)
         problems = problems or self._contradictions()
         if problems:
             raise BadRequestError("; ".join(problems[:MOST_PROBLEMS]))
@@ -50,79 +76,65 @@ class _Request:
 
     def to_json(self) -> JsonObject:
         """Return the request as it is sent; what is left out has its default."""
-        fields = {name: value for name in kinds_of(type(self)) if (value := getattr(self, name)) is not None}
-        return {"op": self.op, **fields}
+        return {"op": self.op} | {name: value for name in self.kinds if (value := self.__dict__[name]) is not None}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AxisRequest(_Request):
     """What is asked of an axis."""
 
-    axis: str | None = field(
+    axis: str | None = holds(
+        Text(description="Name of the axis; absent for the only one, or for all where that makes sense", longest=64),
         default=None,
-        metadata=holds(
-            Text(description="Name of the axis; absent for the only one, or for all where that makes sense", longest=64)
-        ),
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StatusRequest(AxisRequest):
     """Report the present state."""
 
     op: ClassVar[str] = "status"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class WatchRequest(AxisRequest):
     """Send a snapshot every so many ticks, until the client closes."""
 
     op: ClassVar[str] = "watch"
-    every: int = field(
+    every: int = holds(
+        Number(description="Ticks between two snapshots", unit="ticks", minimum=1, maximum=10_000, whole=True),
         default=10,
-        metadata=holds(
-            Number(description="Ticks between two snapshots", unit="ticks", minimum=1, maximum=10_000, whole=True)
-        ),
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class RecordingRequest(AxisRequest):
     """Send the recording of the trip, or of the last ticks."""
 
     op: ClassVar[str] = "recording"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ArmRequest(AxisRequest):
     """Enable the drive and hold."""
 
     op: ClassVar[str] = "arm"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class DisarmRequest(AxisRequest):
     """Come to rest and disable the drive."""
 
     op: ClassVar[str] = "disarm"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class StopRequest(AxisRequest):
     """Come to rest and hold."""
 
     op: ClassVar[str] = "stop"
-    quick: bool = field(default=False, metadata=holds(Flag(description="With the quick stop deceleration")))
+    quick: bool = holds(Flag(description="With the quick stop deceleration"), default=False)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ResetRequest(AxisRequest):
     """Clear a trip."""
 
     op: ClassVar[str] = "reset"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class MoveRequest(AxisRequest):
     """Take a set-point: `position` or, relative to the set-point in force, `by`; or one for several axes together.
 
@@ -131,27 +143,21 @@ class MoveRequest(AxisRequest):
     """
 
     op: ClassVar[str] = "move"
-    position: float | None = field(default=None, metadata=holds(_POSITION))
-    by: float | None = field(
-        default=None,
-        metadata=holds(
-            Number(description="Relative set-point", unit="axis unit", minimum=-_FARTHEST, maximum=_FARTHEST)
-        ),
+    position: float | None = holds(_POSITION, default=None)
+    by: float | None = holds(
+        Number(description="Relative set-point", unit="axis unit", minimum=-_FARTHEST, maximum=_FARTHEST), default=None
     )
-    velocity: float | None = field(
-        default=None,
-        metadata=holds(
-            Number(
-                description="Cruise velocity; the axis' usual one if absent",
-                unit="axis unit/s",
-                above=0.0,
-                maximum=_FARTHEST,
-            )
+    velocity: float | None = holds(
+        Number(
+            description="Cruise velocity; the axis' usual one if absent",
+            unit="axis unit/s",
+            above=0.0,
+            maximum=_FARTHEST,
         ),
-    )
-    positions: dict[str, float] | None = field(
         default=None,
-        metadata=holds(NumbersByName(description="Absolute set-points by the axes' names", number=_POSITION, most=64)),
+    )
+    positions: dict[str, float] | None = holds(
+        NumbersByName(description="Absolute set-points by the axes' names", number=_POSITION, most=64), default=None
     )
 
     def _contradictions(self) -> list[str]:
@@ -162,63 +168,53 @@ class MoveRequest(AxisRequest):
         return []
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class JogRequest(AxisRequest):
     """Move for as long as this is asked for again within the jog time-out."""
 
     op: ClassVar[str] = "jog"
-    velocity: float = field(
-        metadata=holds(
-            Number(
-                description="Velocity, whose sign is the direction",
-                unit="axis unit/s",
-                minimum=-_FARTHEST,
-                maximum=_FARTHEST,
-            )
+    velocity: float = holds(
+        Number(
+            description="Velocity, whose sign is the direction",
+            unit="axis unit/s",
+            minimum=-_FARTHEST,
+            maximum=_FARTHEST,
         )
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class HomeRequest(AxisRequest):
     """Look for the reference as ``[axis.homing]`` says; with `position`, say where the axis stands now."""
 
     op: ClassVar[str] = "home"
-    position: float | None = field(
-        default=None,
-        metadata=holds(
-            Number(
-                description="Position of the place where the axis stands",
-                unit="axis unit",
-                minimum=-_FARTHEST,
-                maximum=_FARTHEST,
-            )
+    position: float | None = holds(
+        Number(
+            description="Position of the place where the axis stands",
+            unit="axis unit",
+            minimum=-_FARTHEST,
+            maximum=_FARTHEST,
         ),
+        default=None,
     )
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ReleaseRequest(_Request):
     """Give control authority back."""
 
     op: ClassVar[str] = "release"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class AcquireRequest(_Request):
     """Take control authority that nobody else holds."""
 
     op: ClassVar[str] = "acquire"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class PreemptRequest(_Request):
     """Take control authority, also from another client while the axis is at rest."""
 
     op: ClassVar[str] = "preempt"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class TakeRequest(PreemptRequest):
     """Do the same: this is its old name."""
 
@@ -226,7 +222,6 @@ class TakeRequest(PreemptRequest):
     renamed_to: ClassVar[str] = PreemptRequest.op
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ReloadRequest(_Request):
     """Read the configuration again, while the axis is disarmed."""
 

@@ -1,12 +1,11 @@
 """The JSON schema of what crosses the control socket, made from the requests and the status themselves."""
 
-import dataclasses
 import enum
 import types
 import typing
 from typing import Any, Final
 
-from twostage_servo.api.fields import JsonObject, kinds_of, required_of
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.records import JsonRecord
 from twostage_servo.api.requests import OPERATIONS, Request
 from twostage_servo.api.status import AxisReport, ServiceStatus
@@ -17,13 +16,13 @@ _PLAIN: Final = {bool: "boolean", int: "integer", float: "number", str: "string"
 
 def schema_of_request(request: type[Request]) -> JsonObject:
     """Return the schema of one request; what its fields must not say together is told in its description."""
-    properties = {name: kind.schema() for name, kind in kinds_of(request).items()}
+    properties = {name: kind.schema() for name, kind in request.kinds.items()}
     return {
         "title": request.op,
         "description": _text(request),
         "type": "object",
         "properties": {"op": {"const": request.op}, **properties},
-        "required": ["op", *required_of(request)],
+        "required": ["op", *request.required_names],
         "additionalProperties": False,
     }
 
@@ -70,8 +69,7 @@ def _schema_of_one(kind: type[Any], definitions: JsonObject) -> JsonObject:
 
 
 def _schema_of_record(record: type[JsonRecord], definitions: JsonObject) -> JsonObject:
-    hints = typing.get_type_hints(record)
-    names = [field.name for field in dataclasses.fields(record)]  # type: ignore[arg-type]
+    hints, names = record.__annotations__, list(record.field_names)
     return {
         "description": _text(record),
         "type": "object",

@@ -3,10 +3,10 @@
 Positions are in the axis' unit, velocities in that unit per second, efforts in its effort unit; times say their unit.
 """
 
-from dataclasses import dataclass
 from typing import Self
 
 from twostage_servo.api.fields import JsonObject
+from twostage_servo.api.plain import Plain
 from twostage_servo.api.records import JsonRecord
 from twostage_servo.axis.moves import MoveKind, MoveOutcome
 from twostage_servo.axis.reference import ReferenceSource
@@ -14,7 +14,6 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 
 
-@dataclass(kw_only=True)
 class AxisStatus(JsonRecord):
     """What an axis does, measures, estimates and sends.
 
@@ -50,7 +49,6 @@ class AxisStatus(JsonRecord):
     saturated: bool
 
 
-@dataclass(kw_only=True)
 class MoveStatus(JsonRecord):
     """The latest motion that was asked for; ``number`` tells motions apart."""
 
@@ -63,7 +61,6 @@ class MoveStatus(JsonRecord):
     reason: str | None
 
 
-@dataclass(kw_only=True)
 class TripStatus(JsonRecord):
     """A trip: its code, its cause with the numbers, and what to do next.
 
@@ -90,7 +87,6 @@ class TripStatus(JsonRecord):
     file_error: str | None
 
 
-@dataclass(kw_only=True)
 class Trouble(JsonRecord):
     """What is wrong with a drive at this moment."""
 
@@ -99,7 +95,6 @@ class Trouble(JsonRecord):
     next_action: str
 
 
-@dataclass(kw_only=True)
 class DriveStatus(JsonRecord):
     """What a drive says of itself.
 
@@ -121,7 +116,6 @@ class DriveStatus(JsonRecord):
     lasting: list[Trouble]
 
 
-@dataclass(kw_only=True)
 class InputStatus(JsonRecord):
     """Whether the drive's inputs are active; None where it does not report one."""
 
@@ -131,7 +125,6 @@ class InputStatus(JsonRecord):
     home_switch: bool | None
 
 
-@dataclass(kw_only=True)
 class Times(JsonRecord):
     """Percentiles of times, and the longest one, in µs."""
 
@@ -141,7 +134,6 @@ class Times(JsonRecord):
     max: float
 
 
-@dataclass(kw_only=True)
 class FrameStatus(JsonRecord):
     """Frames of an axis' bus, counted since the start; ``docs/control-socket.md`` tells what each counts."""
 
@@ -165,7 +157,6 @@ class FrameStatus(JsonRecord):
     feedback_to_command_us: Times | None
 
 
-@dataclass(kw_only=True)
 class BusStatus(JsonRecord):
     """An axis' bus: whether it is open, or why not; its controller, and the drive's state by its heartbeat."""
 
@@ -177,7 +168,6 @@ class BusStatus(JsonRecord):
     error_counters: tuple[int, ...] | None
 
 
-@dataclass(kw_only=True)
 class AxisReport(JsonRecord):
     """All that is told of one axis."""
 
@@ -190,14 +180,12 @@ class AxisReport(JsonRecord):
     bus: BusStatus
 
 
-@dataclass(kw_only=True)
 class LeaseStatus(JsonRecord):
     """Who commands: process, user and number of the connection, or None."""
 
     holder: str | None
 
 
-@dataclass(kw_only=True)
 class HistogramBin(JsonRecord):
     """Ticks that came so late, and later than the bin before."""
 
@@ -205,7 +193,6 @@ class HistogramBin(JsonRecord):
     ticks: int
 
 
-@dataclass(kw_only=True)
 class TickStatus(JsonRecord):
     """Ticks since the start: how many, how many were missed, how late they came, and how long their phases took."""
 
@@ -216,7 +203,6 @@ class TickStatus(JsonRecord):
     duration_us: dict[str, Times]
 
 
-@dataclass(kw_only=True)
 class Refusal(JsonRecord):
     """What the kernel did not grant, and what to do about it."""
 
@@ -226,7 +212,6 @@ class Refusal(JsonRecord):
     remedy: str
 
 
-@dataclass(kw_only=True)
 class GarbageStatus(JsonRecord):
     """Collections of garbage between the ticks."""
 
@@ -235,7 +220,6 @@ class GarbageStatus(JsonRecord):
     longest_us: float
 
 
-@dataclass(kw_only=True)
 class RealtimeStatus(JsonRecord):
     """How the host lets the service be punctual."""
 
@@ -248,7 +232,6 @@ class RealtimeStatus(JsonRecord):
     garbage: GarbageStatus | None
 
 
-@dataclass(kw_only=True)
 class ServiceStatus(JsonRecord):
     """What all axes have in common; ``realtime`` is None in simulated time."""
 
@@ -260,8 +243,7 @@ class ServiceStatus(JsonRecord):
     realtime: RealtimeStatus | None
 
 
-@dataclass(frozen=True, slots=True)
-class Status:
+class Status(Plain):
     """What ``status`` answers, and what ``watch`` tells again and again.
 
     Attributes
@@ -325,11 +307,10 @@ class Status:
         else:
             report = AxisReport.from_json(fields)
             axes = {report.axis.name: report}
-        return cls(ServiceStatus.from_json(fields), axes)
+        return cls(service=ServiceStatus.from_json(fields), axes=axes)
 
 
-@dataclass(frozen=True, slots=True)
-class Recording:
+class Recording(Plain):
     """The last ticks, or those before the trip.
 
     Attributes
@@ -346,4 +327,4 @@ class Recording:
     @classmethod
     def from_json(cls, fields: JsonObject) -> Self:
         """Return the recording that an object of JSON is."""
-        return cls(list(fields["fields"]), list(fields["records"]))
+        return cls(fields=list(fields["fields"]), records=list(fields["records"]))

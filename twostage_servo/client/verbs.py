@@ -6,8 +6,7 @@ of them: the answer, the status, or an error. So there is one place that knows h
 
 import math
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import dataclass
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.requests import (
@@ -49,30 +48,26 @@ Progress = Callable[[Status], object]
 """Is called with each status that a verb sees while it waits."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ask:
+class Ask(NamedTuple):
     """Send a request and wait for its answer, for `patience_s` where that is given; brings the object of JSON."""
 
     request: Request
     patience_s: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Reconnect:
+class Reconnect(NamedTuple):
     """Connect anew within a time (s)."""
 
     within_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Pause:
+class Pause(NamedTuple):
     """Wait (s)."""
 
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class Until:
+class Until(NamedTuple):
     """Watch, every so many ticks, until a condition holds; brings the status of then."""
 
     watch: WatchRequest

@@ -76,7 +76,7 @@ class StatusReport:
     def status(self, axis_loops: "Sequence[AxisLoop] | None" = None) -> Status:
         """Return the state of the service and of some axes, or of all."""
         axis_loops = self.axis_loops if axis_loops is None else axis_loops
-        return Status(self.common(), {axis_loop.name: report_axis(axis_loop) for axis_loop in axis_loops})
+        return Status(service=self.common(), axes={axis_loop.name: report_axis(axis_loop) for axis_loop in axis_loops})
 
     def snapshot(self, axis_loops: "Sequence[AxisLoop] | None" = None) -> JsonObject:
         """Return the same ready for JSON; see :meth:`Status.to_json`."""
