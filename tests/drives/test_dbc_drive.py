@@ -1,5 +1,7 @@
 """A drive that a DBC describes, from both ends: what each makes of the other's frames."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import can
@@ -35,6 +37,13 @@ def test_it_is_the_type_of_its_entry_point() -> None:
     assert drive_type("dbc") is DBC
     assert isinstance(DBC, DriveType)
     assert DBC.settings is ProtocolSettings
+
+
+def test_a_configuration_is_read_without_what_compiles_a_dbc() -> None:
+    script = (
+        "import sys; from twostage_servo.config.loader import load; load(None); sys.exit('cantools' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)  # noqa: S603 - our own interpreter and text
 
 
 def test_its_commands_count_up_and_say_what_was_asked_for() -> None:
