@@ -5,8 +5,9 @@
 
 import struct
 from collections.abc import Sequence
+from typing import Any
 
-from twostage_servo.axis.messages import Command, DriveTraits, Feedback, ForeignCommand, Heartbeat, IndexMark
+from twostage_servo.axis.messages import Command, DriveTraits, Feedback, ForeignCommand
 from twostage_servo.canbus.bus_load import CyclicFrame
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.drives.frame import FrameRejected, ReceivedFrame, SentFrame
@@ -28,9 +29,8 @@ class NodeDrive:
     dead_host = "by a time-out of 100 ms, which cannot be switched off"
 
     def __init__(self, node: int) -> None:
-        self.feedback_id, self.command_id, self.state_id = (
-            Identifier(n + node, extended=False) for n in (384, 512, 1792)
-        )
+        numbers = (base + node for base in (0x180, 0x200, 0x700))
+        self.feedback_id, self.command_id, self.state_id = (Identifier(one, extended=False) for one in numbers)
         self.start = bytes((1, node))
         failure = f"node {node} does not start: look at protocol.node and the drive's supply"
         self.start_up = (StartUpStep((SentFrame(START, self.start),), self.is_running, 0.1, 3, failure),)
@@ -47,10 +47,14 @@ class NodeDrive:
         return CyclicFrame("command", 3, False, tick_s), CyclicFrame("feedback", 7, False, tick_s)
 
 
+def unpack(layout: struct.Struct, frame: ReceivedFrame) -> tuple[Any, ...]:
+    if len(frame.data) != layout.size:
+        raise FrameRejected("length", frame, f"it should have {layout.size} bytes")
+    return layout.unpack(frame.data)
+
+
 def read(frame: ReceivedFrame) -> Feedback:
-    if len(frame.data) != FEEDBACK.size:
-        raise FrameRejected("length", frame, f"a feedback has {FEEDBACK.size} bytes")
-    counts, counter, enabled, fault = FEEDBACK.unpack(frame.data)
+    counts, counter, enabled, fault = unpack(FEEDBACK, frame)
     return Feedback(1e-3 * counts, counter, enabled, fault_code=fault)
 
 
@@ -71,7 +75,7 @@ class NodeSide:
         if frame.arbitration_id == START.identifier:
             self._runs = self._runs or frame.data == self._drive.start
             return None
-        effort, enable = COMMAND.unpack(frame.data)
+        effort, enable = unpack(COMMAND, frame)
         return Command(1e-3 * effort, enable) if self._runs else None
 
     def answers(self) -> Sequence[SentFrame]:
@@ -79,19 +83,14 @@ class NodeSide:
         return answers
 
     def feedback(self, report: Feedback) -> Sequence[SentFrame]:
-        fields = (
-            round(1e3 * report.position),
-            (report.counter or 0) % 256,
-            report.enabled or False,
-            report.fault_code or 0,
-        )
-        return (SentFrame(self._drive.feedback_id, FEEDBACK.pack(*fields)),) if self._runs else ()
+        counts, counter = round(1e3 * report.position), (report.counter or 0) % 256
+        data = FEEDBACK.pack(counts, counter, report.enabled or False, report.fault_code or 0)
+        return (SentFrame(self._drive.feedback_id, data),) if self._runs else ()
 
-    def index(self, _: IndexMark) -> Sequence[SentFrame]:
+    def nothing(self, _: object) -> Sequence[SentFrame]:
         return ()
 
-    def heartbeat(self, _: Heartbeat) -> Sequence[SentFrame]:
-        return ()
+    index = heartbeat = nothing
 
 
 DRIVE = DriveType(NodeSettings, lambda settings, *_: NodeDrive(settings.node), NodeSide)
