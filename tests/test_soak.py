@@ -30,6 +30,7 @@ from twostage_servo.axis.detection import slowest_certain_velocity
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
+from twostage_servo.axis.trip_latch import TripLatch
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.config.loader import load
 from twostage_servo.control.laws.law import Stage
@@ -227,7 +228,7 @@ def test_an_axis_that_goes_on_with_a_wrong_encoder_is_told(monkeypatch: pytest.M
     soak = armed(soak_of(linear(), monkeypatch))
     soak.axis.move_to(400.0, 100.0)
     ticks(soak, 100)
-    monkeypatch.setattr(soak.axis, "raise_trip", lambda *_: None)  # an axis that notices nothing
+    monkeypatch.setattr(TripLatch, "raise_trip", lambda *_: None)  # an axis that notices nothing
     soak.drive.encoder.fail(0.0, soak.drive.position)
     soak.watch.begin(0.0, soak.drive.position, soak.drive.velocity)
     with pytest.raises(BrokenInvariantError, match=r"encoder frozen since it was moving_speed_stage at 99"):
@@ -286,7 +287,7 @@ def test_a_drive_that_stays_enabled_untold_is_told(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(soak.axis, "check_reset", lambda: None)
     with pytest.raises(BrokenInvariantError, match="a reset would be carried out"):
         ticks(soak, 1)
-    monkeypatch.setattr(soak.axis, "raise_trip", lambda *_: None)
+    monkeypatch.setattr(TripLatch, "raise_trip", lambda *_: None)
     soak.axis.trips.clear()
     with pytest.raises(BrokenInvariantError, match="its trips are none"):
         ticks(soak, 1)

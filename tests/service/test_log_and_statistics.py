@@ -171,7 +171,7 @@ def test_what_the_ticks_were_like_is_told_by_phase_and_as_a_histogram() -> None:
     statistics.end(0.0, 10e-6, 30e-6, 35e-6, 45e-6, 50e-6)
     statistics.begin(0.04, 300e-6, 2)
     statistics.end(0.0, 10e-6, 30e-6, 35e-6, 45e-6, 50e-6)
-    told = json.loads(json.dumps(statistics.summary()))
+    told = json.loads(json.dumps(statistics.summary().to_json()))
     assert (told["count"], told["missed"]) == (2, 2)
     assert statistics.uptime_s == 0.04
     assert told["lateness_us"]["max"] == 300.0

@@ -11,14 +11,13 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pydantic import ValidationError
-
 from tools.soak.bad_clients import BadClients
 from tools.soak.configurations import drawn_by
 from tools.soak.encoder_watch import EncoderWatch
 from tools.soak.invariants import BrokenInvariantError, Invariants
 from tools.soak.service_mishaps import ServiceMishaps
 from twostage_servo.api.request_reading import read_request
+from twostage_servo.api.requests import BadRequestError
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
@@ -205,7 +204,7 @@ class ServiceSoak:
         self.requests += 1
         try:
             answer = world.requests.handle(read_request(request), client)
-        except (Refused, ValidationError):
+        except (Refused, BadRequestError):
             self.refusals += 1
             return False
         if not answer:
