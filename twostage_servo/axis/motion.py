@@ -6,8 +6,10 @@ from collections import deque
 from twostage_servo.axis.braking_estimate import BrakingEstimate
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.sample_date import SampleDate
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
+from twostage_servo.axis.tracking import Tracking
 from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.per_time import kept_in
 
@@ -74,16 +76,9 @@ class Motion:
         self._long_gap_ticks = design.ticks(_LONG_GAP_MS)
         self._fading = kept_in(_FADING, design.period_s)
         self._drive = drive
-        self._period_s = design.period_s
         self._limits = design.settings.limits
-        self._tracking = False
-        self._missed = 0
-        self._path: list[float] = []  # the estimate before the ticks that were missed just now, and after each of them
-        self._lag_s = 0.0  # how much older than usual this tick's sample is, where it is less than a period
-        self._lag_periods = 0  # how much older than usual this tick's sample is
-        self._samples_tracked = 0
-        self._tracked = 0.0  # the last sample while tracking
-        self._ticks_since_tracked = 0
+        self._tracking = Tracking(self.law.observer, drive, self._gate)
+        self._date = SampleDate(self.law.observer, drive, design.period_s)
         self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
         self._resolution = 1.5 * resolution
         noise: float = design.noise.measurement_variance**0.5
@@ -102,7 +97,7 @@ class Motion:
         self._stands = False  # whether it was the same a sample before
         self._stands_at: float | None = None  # where the encoder stood still when it was given up
         self._speed_of_late = 0.0
-        self._was_outlier = False  # whether the last sample while tracking was not where the model expects it
+        self._tracking.was_outlier = False
         self._recent.clear()
 
     def start(self, effort: float = 0.0) -> None:
@@ -138,19 +133,17 @@ class Motion:
         self.law.shift(distance)
         self.nominal.shift(distance)
         self.model_monitor.shift(distance)
-        self._tracked += distance
+        self._tracking.shift(distance)
         self._unchanged = None
         self._recent.clear()
 
     def expected_position(self, *, driven: bool) -> float | None:
         """Return where the axis is by the estimate, in axis unit; None while that follows nothing."""
-        return self.law.observer.position if driven or self._tracking else None
+        return self.law.observer.position if driven or self._tracking.is_on else None
 
     def begin_tick(self, missed: int) -> None:
         """Open a tick, before which some were missed."""
-        self._missed = missed
-        if not missed:
-            self._path.clear()
+        self._date.begin_tick(missed)
 
     def skip(self, periods: int) -> None:
         """Account for ticks that were missed.
@@ -159,12 +152,12 @@ class Motion:
         estimate stays as it is then.
         """
         law, periods = self.law, min(periods, self._longest_prediction)
-        self._path = [law.observer.position]
+        self._date.begin_gap()
         self._skipped += periods
         for _ in range(periods):
             self._gap.miss(law.observer, law.effort)
             law.skip(1)
-            self._path.append(law.observer.position)
+            self._date.note_missed()
             self.model_monitor.predict(law.effort)
         self.nominal.skip(periods)
 
@@ -174,7 +167,7 @@ class Motion:
         if self._drive.fresh and not self.blind:
             shown, self._shown = self._shown, self._drive.position
             self._stands = shown is not None and abs(shown - (self._shown or 0.0)) <= self._resolution
-        lag = self._lag_periods
+        lag = self._date.lag_periods
         if sample is not None and lag:
             self._gap.reopen(lag, self.law.observer, before)
         elif sample is not None:
@@ -195,7 +188,7 @@ class Motion:
             self._speed_of_late = max(self._fading * self._speed_of_late, abs(self.law.observer.velocity))
             shown = self._drive.position
             assert shown is not None  # noqa: S101 - the sample is made from it
-            self.model_monitor.update(shown, before, self.law.observer, self._speed_of_late, self._lag_s)
+            self.model_monitor.update(shown, before, self.law.observer, self._speed_of_late, self._date.lag_s)
         if sample is not None:
             self._compare_with_the_last()
         self._note_load()
@@ -207,44 +200,20 @@ class Motion:
 
     def track(self) -> None:
         """Let the observer follow the axis while no effort acts, so that arming starts from its position and speed."""
-        observer, effort = self.law.observer, self._effort
-        self._effort = 0.0
-        # Not dated: by the speed, which is what the samples have to tell in the first place.
-        position = self._drive.position if self._drive.fresh else None
-        self._ticks_since_tracked += 1
+        effort, self._effort = self._effort, 0.0
         self.implausible = 0
-        if self._drive.is_stale or self.blind:
-            self.lose_track()
-            self.blind = False
-        elif position is None:
-            observer.predict(effort)
-        elif not self._tracking:
-            observer.reset(position)
-            self._tracking, self._samples_tracked = True, 1
-        elif self._samples_tracked > 1 and abs(position - observer.position) <= self._gate(observer.velocity):
-            observer.update(position, effort)
-            self._was_outlier = False
-        elif self._samples_tracked > 1 and not self._was_outlier:
-            observer.predict(effort)  # one is a spike
-            self._was_outlier = True
-        else:
-            # An axis that moves when it is first seen, or is knocked: two samples say how fast.
-            before = position - self._drive.encoder.step(self._tracked, position)
-            observer.start_moving(before, position, self._ticks_since_tracked)
-            self._samples_tracked += 1
-            self._was_outlier = False
-        if position is not None:
-            self._tracked, self._ticks_since_tracked = position, 0
+        self._tracking.step(effort, blind=self.blind)
+        self.blind = False
 
     @property
     def knows_speed(self) -> bool:
         """Whether enough samples have been seen in a row to say how fast the axis goes."""
-        return self._tracking and self._samples_tracked > 1
+        return self._tracking.knows_speed
 
     @property
     def doubts_sample(self) -> bool:
         """Whether the latest sample is not where the model expects it, and may be a spike."""
-        return self._was_outlier or self.implausible > 0
+        return self._tracking.was_outlier or self.implausible > 0
 
     def go_blind(self) -> None:
         """Believe no feedback from here on: the model alone brings the axis to rest."""
@@ -278,8 +247,7 @@ class Motion:
 
     def lose_track(self) -> None:
         """Start the observer afresh at the next sample: what it holds is not to be built on."""
-        self._tracking = False
-        self._was_outlier = False
+        self._tracking.lose()
 
     @property
     def innovation_limit(self) -> float:
@@ -320,7 +288,7 @@ class Motion:
 
     def _believed_sample(self) -> float | None:
         """Return this tick's sample; None if there is none, or none that lies where the model expects it."""
-        sample, observer = self._dated_sample(), self.law.observer
+        sample, observer = self._date.sample(), self.law.observer
         if self.blind:
             return None
         if sample is None:
@@ -334,29 +302,3 @@ class Motion:
         self.implausible_distance = distance
         self._gap.doubt()
         return None
-
-    def _dated_sample(self) -> float | None:
-        """Return this tick's sample as it was at the last command, which is when the observer wants it."""
-        drive = self._drive
-        self._lag_periods, self._lag_s = 0, 0.0
-        if not drive.fresh or drive.position is None:
-            return None
-        if drive.age_s is None:
-            # After missed ticks nobody knows which of them a sample without a date belongs to.
-            return None if self._missed else drive.position
-        lag = drive.age_s / self._period_s - 1.0
-        if not self._missed or lag <= 0.5:
-            self._lag_s = self._period_s * lag
-            return drive.position + self.law.observer.velocity * self._lag_s
-        self._lag_periods = min(round(lag), len(self._path) - 1)
-        return drive.position + self.law.observer.position - self._estimate_before(lag)
-
-    def _estimate_before(self, periods: float) -> float:
-        """Return where the estimate was some periods ago, among the ticks that were missed; in axis unit.
-
-        In that time the speed may have changed by much, so that it would not do to go back by the present one.
-        """
-        place = max(0.0, len(self._path) - 1 - periods)
-        before = int(place)
-        after = min(before + 1, len(self._path) - 1)
-        return self._path[before] + (place - before) * (self._path[after] - self._path[before])
