@@ -202,7 +202,7 @@ def test_gains_that_would_not_drive_the_plant_are_refused(
     monkeypatch.setattr("twostage_servo.control.laws.paper_design.servo_gains", lambda *_: gains)
     with pytest.raises(DesignError, match="cannot drive this plant") as caught:
         designed()
-    assert caught.value.key == ("axis", "law", "performance_index_ratio")
+    assert caught.value.key == ("axis", "law", "paper", "performance_index_ratio")
 
 
 def test_small_gains_are_gains() -> None:
