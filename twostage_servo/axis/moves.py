@@ -1,7 +1,6 @@
 """A motion that was asked for, and what becomes of it."""
 
 import enum
-from dataclasses import dataclass
 
 
 class MoveKind(enum.StrEnum):
@@ -30,7 +29,6 @@ class MoveOutcome(enum.StrEnum):
     """The axis has tripped before."""
 
 
-@dataclass(slots=True)
 class Move:
     """One motion that was asked for, and what became of it.
 
@@ -48,10 +46,24 @@ class Move:
         Why it was stopped, if not by the operator's `stop`.
     """
 
-    number: int
-    kind: MoveKind
-    target: float
-    velocity: float
-    start: float
-    outcome: MoveOutcome = MoveOutcome.MOVING
-    reason: str | None = None
+    __slots__ = ("kind", "number", "outcome", "reason", "start", "target", "velocity")
+
+    def __init__(self, number: int, kind: MoveKind, target: float, velocity: float, start: float) -> None:
+        self.number = number
+        self.kind = kind
+        self.target = target
+        self.velocity = velocity
+        self.start = start
+        self.outcome = MoveOutcome.MOVING
+        self.reason: str | None = None
+
+    def _values(self) -> tuple[object, ...]:
+        return (self.number, self.kind, self.target, self.velocity, self.start, self.outcome, self.reason)
+
+    def __eq__(self, other: object) -> bool:
+        return self._values() == other._values() if isinstance(other, Move) else NotImplemented
+
+    __hash__ = None  # type: ignore[assignment]  # it changes
+
+    def __repr__(self) -> str:
+        return f"Move{self._values()!r}"

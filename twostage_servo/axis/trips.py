@@ -1,7 +1,7 @@
 """Trips: what can latch an axis out of operation, how it reacts, and what the operator should do next."""
 
 import enum
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from twostage_servo.axis.state import Event
 
@@ -62,8 +62,7 @@ class TripCode(enum.StrEnum):
     INTERNAL_ERROR = "internal_error"
 
 
-@dataclass(frozen=True, slots=True)
-class TripRule:
+class TripRule(NamedTuple):
     """What belongs to a trip's code.
 
     Attributes
@@ -259,9 +258,8 @@ class TripFile:
         self.error: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
 class Trip:
-    """A latched fault.
+    """A latched fault, which is not changed. An operator's command reads its codes: data classes import too much.
 
     Attributes
     ----------
@@ -275,10 +273,24 @@ class Trip:
         Its file, which tells what the service saw before it.
     """
 
-    code: TripCode
-    cause: str
-    tick: int
-    file: TripFile = field(default_factory=TripFile, compare=False, repr=False)
+    __slots__ = ("cause", "code", "file", "tick")
+
+    def __init__(self, code: TripCode, cause: str, tick: int) -> None:
+        self.code = code
+        self.cause = cause
+        self.tick = tick
+        self.file = TripFile()
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Trip):
+            return NotImplemented
+        return (self.code, self.cause, self.tick) == (other.code, other.cause, other.tick)
+
+    def __hash__(self) -> int:
+        return hash((self.code, self.cause, self.tick))
+
+    def __repr__(self) -> str:
+        return f"Trip(code={self.code!r}, cause={self.cause!r}, tick={self.tick!r})"
 
     @property
     def reaction(self) -> Reaction:

@@ -1,7 +1,6 @@
 """`demo`: service and simulated drive in one process on the virtual bus; arms, moves, waits until there, stops."""
 
 import argparse
-import csv
 import functools
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -94,6 +93,8 @@ def _show(progress: Progress, unit: str, share: float, tick: "TracedTick") -> No
 
 
 def _write_trace(path: Path, rows: "Sequence[Sequence[Any]]") -> None:
+    import csv
+
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
             csv.writer(file).writerows(rows)

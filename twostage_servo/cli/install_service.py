@@ -3,9 +3,7 @@
 import argparse
 import os
 import shlex
-import shutil
 import sys
-import tempfile
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -122,6 +120,8 @@ def _run(options: argparse.Namespace) -> ExitCode:
 
 def _program(options: argparse.Namespace) -> Path:
     """Return the program for the units; one that the service could not see or start is refused."""
+    import shutil
+
     found = options.program or shutil.which(sys.argv[0]) or sys.argv[0]
     program = Path(found).absolute()
     if shlex.quote(str(program)) != str(program) or "%" in str(program):
@@ -144,6 +144,8 @@ def _write(path: Path, text: str) -> _Placed:
         return _Placed(path, "unchanged")
     path.parent.mkdir(parents=True, exist_ok=True)
     # Whole or not at all: the manager may read it at any time.
+    import tempfile
+
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".twostage-servo-")
     try:
         with os.fdopen(handle, "w", encoding="utf-8") as out:

@@ -72,6 +72,10 @@ def _set_point(text: str) -> tuple[str | None, float]:
 
 
 def _run(options: argparse.Namespace) -> "ExitCode":
+    import gc
+
+    gc.disable()  # what is imported stays: to look for garbage in it takes longer than to ask the service
     from twostage_servo.cli import operator_verbs
 
+    gc.enable()
     return operator_verbs.run(options)

@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import csv
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -87,6 +86,8 @@ def _status(options: argparse.Namespace) -> ExitCode:
 
 
 def _write_csv(path: Path, recording: Recording) -> None:
+    import csv
+
     try:
         with path.open("w", encoding="utf-8", newline="") as file:
             csv.writer(file).writerows([recording.fields, *recording.records])

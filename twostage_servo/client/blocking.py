@@ -2,9 +2,8 @@
 
 import contextlib
 import math
-import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Self, TypeVar
@@ -17,7 +16,6 @@ from twostage_servo.client.connection import Connection
 from twostage_servo.client.errors import ServoError
 from twostage_servo.client.protocol import Authority, status_in
 from twostage_servo.client.verbs import (
-    JOG_INTERVAL_S,
     PARTING_S,
     Ask,
     Pause,
@@ -230,9 +228,11 @@ class ServoClient:
 
         The jog is asked for again by a thread. What ends it before its time is raised as the block ends.
         """
+        from twostage_servo.client.jog_thread import JogThread  # noqa: PLC0415 - few need a thread
+
         begun = self._run(self._verbs.begin_jog(velocity))
         number = number_of(begun)
-        jog = _JogThread(begun, lambda: self._run(self._verbs.jog_again(velocity, number)))
+        jog = JogThread(begun, lambda: self._run(self._verbs.jog_again(velocity, number)))
         try:
             yield
         except BaseException:
@@ -280,46 +280,3 @@ class ServoClient:
             case Pause(seconds):
                 time.sleep(seconds)
         return None
-
-
-class _JogThread:
-    """Asks for a jog again and again, until it is told to end or something else has ended the jog.
-
-    Parameters
-    ----------
-    begun
-        The status as the jog has begun.
-    again
-        Asks for it once more, if it is still under way.
-    """
-
-    def __init__(self, begun: Status, again: Callable[[], Status]) -> None:
-        self._status = begun
-        self._again = again
-        self._error: ServoError | None = None
-        self._shall_end = threading.Event()
-        self._thread = threading.Thread(target=self._renew, name="jog", daemon=True)
-        self._thread.start()
-
-    def _renew(self) -> None:
-        number = number_of(self._status)
-        while is_jogging(self._status, number) and not self._shall_end.wait(JOG_INTERVAL_S):
-            try:
-                self._status = self._again()
-            except ServoError as error:
-                self._error = error
-                return
-
-    def end(self) -> Status:
-        """End, and return the newest status.
-
-        Raises
-        ------
-        ServoError
-            If the jog could not be asked for again.
-        """
-        self._shall_end.set()
-        self._thread.join()
-        if self._error is not None:
-            raise self._error
-        return self._status

@@ -3,7 +3,7 @@
 import math
 import socket
 import struct
-import threading
+from _thread import allocate_lock  # threading takes a while to import
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,7 +43,7 @@ class Connection:
         self.path = path
         self.reconnected = 0
         self._timeout_s = timeout_s
-        self._lock = threading.Lock()
+        self._lock = allocate_lock()
         self._open(timeout_s)
 
     def _open(self, within_s: float) -> None:
