@@ -3,8 +3,6 @@
 import argparse
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from textwrap import wrap
 from typing import TYPE_CHECKING
 
 from twostage_servo.cli.extras import require
@@ -78,6 +76,8 @@ def _paper(options: argparse.Namespace) -> ExitCode:
 @contextmanager
 def _staged(folder: Path) -> "Iterator[Path]":
     """Give a folder to write into; its files take their places in `folder` when all are written, report.html last."""
+    from tempfile import TemporaryDirectory
+
     created = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -140,6 +140,8 @@ _SHOWN = (
 
 
 def _as_text(studies: "Studies", claims: "Sequence[Claim]", report: Path, files: int) -> str:
+    from textwrap import wrap
+
     from twostage_servo.paper.methods import METHODS
     from twostage_servo.paper.report_tables import score_text
 
