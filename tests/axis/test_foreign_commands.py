@@ -21,7 +21,8 @@ def new() -> ForeignCommands:
 
 def test_before_the_first_there_is_none() -> None:
     foreign = after(3, new())
-    assert (foreign.lasts, foreign.frame, foreign.enables, foreign.came_within(1e9)) == (False, "", None, False)
+    assert (foreign.lasts, foreign.came_within(1e9)) == (False, False)
+    assert (foreign.latest.frame, foreign.latest.enables) == ("", None)
 
 
 @pytest.mark.parametrize("missed", [0, 4])
@@ -31,7 +32,7 @@ def test_one_lasts_for_as_long_as_arming_may_take(missed: int) -> None:
     ticks = LASTS // (1 + missed)
     assert after(ticks - 1, foreign, missed).lasts
     assert not after(1, foreign, missed).lasts
-    assert (foreign.frame, foreign.enables) == ("0x201", False)
+    assert (foreign.latest.frame, foreign.latest.enables) == ("0x201", False)
 
 
 def test_how_many_there_were_and_how_long_ago_is_said_unless_it_is_the_first_of_this_tick() -> None:
@@ -41,7 +42,7 @@ def test_how_many_there_were_and_how_long_ago_is_said_unless_it_is_the_first_of_
     assert str(after(3, foreign)) == "0x201 (frame 1, 30 ms ago)"
     foreign.take("0x202", enables=None)
     assert str(foreign) == "0x202 (frame 2, 0 ms ago)"
-    assert foreign.enables is None
+    assert foreign.latest.enables is None
     after(LASTS - 1, foreign)
     foreign.take("0x203", enables=None)
     assert str(foreign) == "0x203 (frame 3, 0 ms ago)"
@@ -64,4 +65,4 @@ def test_after_other_settings_the_same_is_known() -> None:
         former.take("0x201", enables=True)
     after(2, former)
     foreign.take_over(former)
-    assert (str(foreign), foreign.enables, foreign.lasts) == ("0x201 (frame 3, 20 ms ago)", True, True)
+    assert (str(foreign), foreign.latest.enables, foreign.lasts) == ("0x201 (frame 3, 20 ms ago)", True, True)

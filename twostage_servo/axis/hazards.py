@@ -66,7 +66,7 @@ class Hazards:
         if self._machine.state in ENABLED or not foreign.lasts:
             return False
         # One whose feedback does not tell is taken at what it has been told.
-        return self._disabled.seen_enabled or (self._drive.enabled is None and foreign.enables is not False)
+        return self._disabled.seen_enabled or (self._drive.enabled is None and foreign.latest.enables is not False)
 
     def _say_not_disabled(self) -> str:
         watch, unit = self._disabled, self._settings.unit
