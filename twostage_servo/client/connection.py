@@ -113,9 +113,13 @@ class Connection:
                 pass
             except OSError as error:
                 raise self._failed(error) from error
-            snapshots = list(self._protocol.snapshots)
-            self._protocol.snapshots.clear()
-            return snapshots
+            return self.kept()
+
+    def kept(self) -> list[JsonObject]:
+        """Return the snapshots that have come with answers."""
+        snapshots = list(self._protocol.snapshots)
+        self._protocol.snapshots.clear()
+        return snapshots
 
     def _receive(self) -> None:
         try:

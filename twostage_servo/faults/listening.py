@@ -2,13 +2,16 @@
 
 import contextlib
 import itertools
-import json
-import socket
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from twostage_servo.api.request_reading import read_request
+from twostage_servo.api.requests import ReleaseRequest
 from twostage_servo.canbus.link import BusSettings, Link
+from twostage_servo.client.connection import Connection
+from twostage_servo.client.errors import Refused, ServoError
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.frame import FrameRejected
 
@@ -141,26 +144,23 @@ class Operator:
     def __init__(self, path: Path) -> None:
         self.unread: deque[Snapshot] = deque()
         self.latest: Snapshot = {}
-        self._received = b""
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        with _as_os_error():
+            self._connection = Connection(path, _LONGEST_ANSWER_S)
         try:
-            self._socket.settimeout(_LONGEST_ANSWER_S)
-            self._socket.connect(str(path))
             self.ask(op="watch", every=1)
         except BaseException:
-            self._socket.close()
+            self._connection.close()
             raise
 
     def fileno(self) -> int:
         """File descriptor of the connection, for ``select``."""
-        return self._socket.fileno()
+        return self._connection.fileno()
 
     def close(self) -> None:
         """Give the lease back, as everyone does who leaves on purpose, and leave."""
-        with contextlib.suppress(OSError, RefusalError):
-            self._socket.settimeout(_PARTING_S)
-            self.ask(op="release")
-        self._socket.close()
+        with contextlib.suppress(OSError, RefusalError), _as_os_error():
+            self._connection.ask(ReleaseRequest(), _PARTING_S)
+        self._connection.close()
 
     def ask(self, **request: Any) -> Snapshot:
         """Send a request and return its answer.
@@ -172,43 +172,32 @@ class Operator:
         OSError
             If the service is gone.
         """
-        self._socket.sendall(json.dumps(request).encode() + b"\n")
-        answer = None
-        while answer is None:
-            for line in self._lines(self._read()):
-                if line.get("event"):
-                    self._keep(line)
-                else:
-                    answer = line
-        if not answer["ok"]:
-            raise RefusalError(f"{answer['error']['code']}: {answer['error']['message']}")
-        return answer
+        with _as_os_error():
+            try:
+                return self._connection.ask(read_request(request))
+            except Refused as error:
+                raise RefusalError(f"{error.code}: {error}") from error
+            finally:
+                self._keep(self._connection.kept())
 
     def take(self) -> bool:
         """Take the snapshots that have come, without waiting; return whether the service is still there."""
-        self._socket.settimeout(0.0)
         try:
-            while data := self._socket.recv(1 << 16):
-                for line in self._lines(data):
-                    self._keep(line)
-        except BlockingIOError:
-            return True
-        except OSError:
+            self._keep(self._connection.taken())
+        except ServoError:
+            self._keep(self._connection.kept())
             return False
-        finally:
-            self._socket.settimeout(_LONGEST_ANSWER_S)
-        return False
+        return True
 
-    def _read(self) -> bytes:
-        data = self._socket.recv(1 << 16)
-        if not data:
-            raise ConnectionResetError("the service has closed the connection")
-        return data
+    def _keep(self, snapshots: list[Snapshot]) -> None:
+        self.unread += snapshots
+        self.latest = snapshots[-1] if snapshots else self.latest
 
-    def _lines(self, data: bytes) -> list[Snapshot]:
-        *lines, self._received = (self._received + data).split(b"\n")
-        return [json.loads(line) for line in lines]
 
-    def _keep(self, snapshot: Snapshot) -> None:
-        self.unread.append(snapshot)
-        self.latest = snapshot
+@contextlib.contextmanager
+def _as_os_error() -> Iterator[None]:
+    """Let a service that is gone be the error of its connection."""
+    try:
+        yield
+    except ServoError as error:
+        raise ConnectionError(str(error)) from error
