@@ -464,6 +464,26 @@ def test_asking_for_the_stop_again_and_again_does_not_keep_it_from_being_given_u
     assert rig.axis.trip.code is TripCode.BRAKING_FAILED
 
 
+def test_a_stop_after_a_trip_that_the_axis_does_not_follow_gives_way_to_a_quick_stop() -> None:
+    """A drive that keeps its effort cannot be stopped: the sooner that is known, the sooner it is disabled."""
+    rig = rig_with(innovation=1e3, overspeed=1e6, acceleration=50.0).cruising(2000.0, 100.0, for_s=4.0)
+    kept = rig.commands[-1].effort
+    rig.axis.raise_trip(TripCode.SPEED_UNREACHABLE, "test")
+    states: list[State] = []
+    for _ in range(800):
+        rig.load = rig.commands[-1].effort - kept
+        rig.tick()
+        if not states or states[-1] is not rig.state():
+            states.append(rig.state())
+    assert states == [State.TRIPPED_STOPPING, State.TRIPPED_QUICK_STOP, State.TRIPPED]
+    follows = rig.axis.trips[TripCode.FOLLOWING_ERROR].tick
+    failed = rig.axis.trips[TripCode.BRAKING_FAILED].tick
+    tripped = rig.axis.trips[TripCode.SPEED_UNREACHABLE].tick
+    # 20 mm behind a ramp of 50 mm/s² are 0.9 s; twice the time of that ramp alone would be 4 s.
+    assert 60 <= follows - tripped <= 120
+    assert failed - tripped < 250
+
+
 @pytest.mark.parametrize("again", [False, True])
 def test_disarming_does_not_make_a_quick_stop_milder(*, again: bool) -> None:
     def way(*, disarms: bool) -> float:

@@ -132,6 +132,8 @@ def test_an_axis_that_brakes_or_looks_for_a_hard_stop_is_held_to_less() -> None:
     assert codes(broken) == codes(broken, State.HOMING, method="switch") == both
     assert codes(broken, method="hard_stop") == both
     assert codes(broken, State.STOPPING) == [TripCode.MODEL_MISMATCH]  # watched while braking as well
+    assert codes(broken, State.TRIPPED_STOPPING) == both  # a stop that is not followed gives way to a quick stop
+    assert codes(broken, State.TRIPPED_QUICK_STOP) == [TripCode.MODEL_MISMATCH]
     assert codes(broken, State.HOMING, method="hard_stop") == []
     broken.model_monitor.better_factor = -1.0
     assert codes(broken, State.HOMING, method="hard_stop") == [TripCode.SIGN_REVERSED]
@@ -144,8 +146,8 @@ def test_an_axis_that_brakes_or_looks_for_a_hard_stop_is_held_to_less() -> None:
 
 
 def test_a_blind_axis_is_not_held_to_what_it_does_not_see() -> None:
-    blind = motion(blind=True, model_monitor__better_factor=-1.0)
-    assert codes(blind, State.TRIPPED_QUICK_STOP) == []
+    blind = motion(blind=True, model_monitor__better_factor=-1.0, following_error=1e6)
+    assert codes(blind, State.TRIPPED_QUICK_STOP) == codes(blind, State.TRIPPED_STOPPING) == []
 
 
 def test_the_cause_names_what_is_wrong() -> None:

@@ -123,6 +123,8 @@ class Supervision:
             yield from self._braking()
             if referenced and not self._motion.blind and state not in _QUICK:  # which could do no better
                 yield from self._position()
+            if state is State.TRIPPED_STOPPING and not self._motion.blind:
+                yield from self._following()  # it ends disabled in any case: rather by a quick stop than late
             return
         if seeks_a_stop:
             return
