@@ -225,6 +225,9 @@ class Script:
             await world.seconds(self._wait_s)
             if not await self._try_to_arm(world):
                 return
+            if world.axis.state is State.HOLDING:
+                # Arming catches an axis that seems to move, as after a stall, by the noise of two samples: no reaction.
+                self._states_before = len(world.samples)
             await self._move(world)
         elif self._phase is Phase.HOLDING:
             await world.seconds(self._wait_s)
