@@ -184,7 +184,7 @@ def test_the_report_shows_each_cell_and_each_miss() -> None:
     assert "frames &lt;lost&gt;" in page
     assert "frames <lost>" not in page
     assert "1 cells met, 1 missed" in page
-    assert page.count("class='missed'") == 1
+    assert page.count('class="missed"') == 1
 
 
 def test_a_stated_limit_is_met_within_its_bound_only() -> None:

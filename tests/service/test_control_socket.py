@@ -365,11 +365,11 @@ def test_who_may_not_enter_the_folder_of_the_socket_is_told_so() -> None:
     ask = (
         "import os, sys\n"
         "from pathlib import Path\n"
-        "import twostage_servo\n"
+        "from twostage_servo import connect\n"  # all that it takes, before nothing can be read any more
         "from twostage_servo.api import address\n"
         "address.SYSTEM_SOCKET = Path(sys.argv[1])\n"
         "os.setresuid(65534, 65534, 65534)\n"
-        "twostage_servo.connect()\n"
+        "connect()\n"
     )
     environment = {name: value for name, value in os.environ.items() if "RUNTIME" not in name and "SOCKET" not in name}
     environment["XDG_RUNTIME_DIR"] = "/nowhere"

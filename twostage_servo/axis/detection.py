@@ -16,16 +16,13 @@ from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.state import State
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import RULES
-from twostage_servo.control.per_time import samples_in
 
 CHANGES = {"turned round": -1.0, "half the scale": 0.5, "twice the scale": 2.0}
 """What the encoder counts after the change, as a multiple of what it should."""
 
-_SETTLING_S = 0.3
-"""How long the cruise lasts before the change, in which the estimate becomes that of the cruise, in s."""
-
 _SETTLING_TICKS = 30
-"""Samples that the observer needs for that, however long they take."""
+"""Samples of the cruise before the change. Few on a short tick: what is said here has to hold for an axis that has only
+just come up to speed, whose estimate is not yet that of the cruise."""
 
 _STOPPING_S = 0.02
 """How long the axis has been stopping when its encoder changes."""
@@ -150,9 +147,7 @@ class _Run:
         law.observer.correct(velocity, 0.0)
         self._supervision.start()
         self._motion.start(cruise_effort)
-        self._motion.set_target(
-            2.0 * velocity * (_LONGEST_S + _settling_ticks(design) * design.period_s) + 1.0, velocity
-        )
+        self._motion.set_target(2.0 * velocity * (_LONGEST_S + _SETTLING_TICKS * design.period_s) + 1.0, velocity)
         self._state = State.SPEED_STAGE
 
     def change(self, factor: float) -> None:
@@ -179,7 +174,7 @@ class _Run:
 
 def _detect(design: AxisDesign, change: str, phase: str, velocity: float) -> Detection:
     run = _Run(design, velocity)
-    for _ in range(_settling_ticks(design)):
+    for _ in range(_SETTLING_TICKS):
         if run.tick():
             raise RuntimeError(f"an undisturbed cruise at {velocity:g} is taken for one with a faulty encoder")
     if phase == "stopping":
@@ -194,10 +189,6 @@ def _detect(design: AxisDesign, change: str, phase: str, velocity: float) -> Det
             return Detection(change, phase, velocity, travel, certain=True)
     at_rest = phase == "stopping" and abs(run.velocity) <= design.rest_velocity
     return Detection(change, phase, velocity, travel if at_rest else math.inf, certain=False)
-
-
-def _settling_ticks(design: AxisDesign) -> int:
-    return samples_in(_SETTLING_S, design.period_s, _SETTLING_TICKS)
 
 
 def _ticks(run: _Run, count: int, start: float) -> Iterator[tuple[float, bool]]:

@@ -16,6 +16,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from twostage_servo.printable import printable_json
+
 if TYPE_CHECKING:
     from twostage_servo.service.ending_signals import EndingSignals
 
@@ -80,7 +82,7 @@ def _run(options: argparse.Namespace, signals: "EndingSignals") -> int:
 
 def _tell(result: dict[str, Any]) -> None:
     """Print what came of it, for the parent."""
-    print(json.dumps(result), flush=True)  # noqa: T201 - to a file, as an object of JSON
+    print(printable_json(json.dumps(result)), flush=True)  # noqa: T201 - to a file, as an object of JSON
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import math
 from bisect import bisect_left
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
 from twostage_servo.control.laws.paper import TwoStageLaw
@@ -52,7 +52,7 @@ class PaperDesign:
     ratio: float
     servo_gains: ServoGains
     settling_time_s: float
-    response: "UnitResponse"
+    response: "UnitResponse" = field(compare=False)  # which follows from the others
 
     @property
     def changeover_time_s(self) -> float:
