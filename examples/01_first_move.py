@@ -1,6 +1,7 @@
 """Arm the axis, make three moves, and log its velocity to a CSV file.
 
-Start a service first, for instance the demo: ``twostage-servo run --config config/demo.toml``.
+Start a simulated drive and a service first, in a terminal each: ``twostage-servo drive --config two_processes.toml``
+and ``twostage-servo run --config two_processes.toml``.
 """
 
 import csv

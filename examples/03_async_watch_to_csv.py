@@ -1,6 +1,7 @@
 """Log every tick to a CSV file while another task moves the axis.
 
-Start a service first, for instance the demo: ``twostage-servo run --config config/demo.toml``.
+Start a simulated drive and a service first, in a terminal each: ``twostage-servo drive --config two_processes.toml``
+and ``twostage-servo run --config two_processes.toml``.
 """
 
 import asyncio

@@ -1,7 +1,9 @@
 """The examples: short, numbered, and each that operates an axis does so on the real service in simulated time."""
 
+import asyncio
 import csv
 import importlib.util
+import json
 import re
 import threading
 from pathlib import Path
@@ -12,10 +14,15 @@ import pytest
 from tests.service.operators import serve
 from tests.service.rig import World
 from twostage_servo.api.address import ENVIRONMENT_VARIABLE
+from twostage_servo.app.closed_loop import Wires, closed_loop
 from twostage_servo.axis.state import State
+from twostage_servo.cli.main import main
+from twostage_servo.config.machine import load_machine
 from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.timing.virtual_clock import run
 
-EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
 def example(name: str) -> ModuleType:
@@ -47,8 +54,8 @@ def test_an_example_is_numbered_and_fits_on_a_screen(path: Path) -> None:
 
 
 def test_no_two_examples_have_one_number() -> None:
-    numbers = [path.name[:2] for path in EXAMPLES]
-    assert sorted(set(numbers)) == numbers
+    numbers = sorted(path.name[:2] for path in (ROOT / "examples").iterdir() if not path.name.startswith(("_", ".")))
+    assert numbers == [f"{number:02d}" for number in range(1, len(numbers) + 1)]
 
 
 def test_the_asynchronous_one_logs_each_tick(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,3 +91,54 @@ def test_the_blocking_one_operates_the_axis(tmp_path: Path, monkeypatch: pytest.
 
     serve(tmp_path / "s", script)
     check_log(tmp_path / "velocity.csv")
+
+
+@pytest.mark.parametrize("y_is_held", [False, True])
+def test_two_axes_go_round_a_rectangle_and_one_that_trips_stops_both(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *, y_is_held: bool
+) -> None:
+    monkeypatch.setenv(ENVIRONMENT_VARIABLE, str(tmp_path / "s"))
+    overrides = ["y:simulation.hard_stop_maximum=20"] if y_is_held else []
+    machine = load_machine(ROOT / "config" / "two_axes.toml", overrides)
+    errors: list[BaseException] = []
+    places: list[tuple[float, float]] = []
+
+    def operate() -> None:
+        try:
+            example("02_two_axes.py").main()
+        except BaseException as error:  # noqa: BLE001 - told below, in the thread of the test
+            errors.append(error)
+
+    async def script() -> None:
+        async with closed_loop(machine, wires=Wires()) as loop:
+            control = loop.control_socket(tmp_path / "s")
+            await control.start()
+            x, y = (loop.axes[name].drive for name in ("x", "y"))
+            await asyncio.sleep(0.5)
+            thread = threading.Thread(target=operate)
+            thread.start()
+            while thread.is_alive():
+                await asyncio.sleep(0.01)
+                places.append((x.position, y.position))
+            await control.stop()
+
+    run(script())
+    assert not errors
+    told = capsys.readouterr().out
+    if y_is_held:
+        assert "Next: " in told
+        assert max(y for _, y in places) < 21.0
+    else:
+        assert "Next: " not in told
+        for corner in ((100.0, 0.0), (100.0, 60.0), (0.0, 60.0)):
+            assert any(place == pytest.approx(corner, abs=0.5) for place in places)
+
+
+def test_a_dbc_of_ones_own_moves_an_axis(capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(ROOT / "examples" / "06_own_dbc" / "axis.toml")
+    assert main(["check", file]) == 0
+    assert "command 0x300, feedback 0x301" in capsys.readouterr().out
+    assert main(["demo", "--fast", "--json", "--config", file]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert abs(result["final_error"]) < 0.05
+    assert result["frames"]["rejected"] == 0

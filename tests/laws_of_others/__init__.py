@@ -9,7 +9,7 @@ import pytest
 from twostage_servo.axis import law_settings
 from twostage_servo.control.laws import registry
 
-HERE = Path(__file__).parent
+EXAMPLE = Path(__file__).parents[2] / "examples" / "05_own_law"
 
 
 def forget_laws() -> None:
@@ -19,8 +19,8 @@ def forget_laws() -> None:
 
 
 def install(folder: Path, entry_points: str) -> None:
-    """Put a distribution with the law of this folder into another one."""
-    shutil.copy(HERE / "cascade_law.py", folder)
+    """Put a distribution with the law of the example into a folder."""
+    shutil.copy(EXAMPLE / "cascade_law.py", folder)
     information = folder / "cascade_law-1.0.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: cascade-law\nVersion: 1.0\n", encoding="utf-8")

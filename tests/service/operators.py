@@ -59,7 +59,6 @@ def serve(path: Path, script: Callable[[World, ControlSocket], Awaitable[None]],
 
     async def main(world: World) -> None:
         control = world.loop.control_socket(path)
-        world.loop.listen(control.publish)
         await control.start()
         try:
             await world.until(lambda: world.axis.ready_to_arm)

@@ -1,4 +1,8 @@
-"""A law as another package brings it: proportional feedback of position and speed, placed by its bandwidth."""
+"""A law as another package brings it: proportional feedback of position and speed, placed by its bandwidth.
+
+Install it beside twostage-servo (``pip install examples/05_own_law``), then try it:
+``twostage-servo demo --fast --set axis.law.type=cascade``.
+"""
 
 from twostage_servo.control.laws.law import ControlTask, LawDesign
 from twostage_servo.control.laws.registry import LawType
