@@ -253,3 +253,33 @@ def test_a_search_slower_than_a_change_shows_is_a_stated_limit_and_a_faster_moti
     for fault in (fault for fault in TABLE if fault.number in {21, 22}):
         assert fault.limit(Motion(campaign.loaded.config, campaign.design, 100.0)) == ""
         assert fault.limit(Motion(campaign.loaded.config, campaign.design, 20.0))
+
+
+@pytest.mark.parametrize("phase", [Phase.STOPPING, Phase.QUICK_STOPPING])
+@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("plant", [(126.0, 18.2), (126.0, 14.0), (234.0, 9.8)])
+def test_a_sign_that_turns_as_a_stop_begins_is_told_on_a_plant_off_its_model_behind_a_wide_gate(
+    plant: tuple[float, float], seed: int, phase: Phase
+) -> None:
+    """What plant it is, nothing has told by then; the axis ran away against its stop, by up to 160 mm."""
+    gain, pole = plant
+    overrides = [f"simulation.gain={gain}", f"simulation.pole={pole}", "axis.limits.innovation=5"]
+    (cell,) = cells(Campaign(load(None, overrides), seed), 21, phase)
+    assert cell.met, cell
+    assert cell.trip in {"sign_reversed", "model_mismatch"}
+    assert cell.travel < 12.0
+
+
+@pytest.mark.parametrize(
+    ("name", "seed", "number", "phase"),
+    [
+        ("example2", 2, 21, Phase.STOPPING),
+        ("example2", 3, 21, Phase.QUICK_STOPPING),
+        ("example2", 3, 31, Phase.ACCELERATING),  # a load that helps, while the axis begins to move
+        ("metres", 2, 28, Phase.ACCELERATING),  # a controlled stop that nothing follows
+        ("example1", 3, 36, Phase.IDLE),  # after a stall two noisy samples look like a speed
+    ],
+)
+def test_what_other_seeds_have_found_is_met(name: str, seed: int, number: int, phase: Phase) -> None:
+    for cell in cells(Campaign(load(configuration(name)), seed), number, phase):
+        assert cell.met, cell

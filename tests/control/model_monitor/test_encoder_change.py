@@ -6,7 +6,7 @@ An axis of gain 180 and pole 14 in 1/s is at 10 mm, runs at 50 mm/s, unless anot
 
 import pytest
 
-from twostage_servo.control.model_monitor.encoder_change import EncoderChange, Surprise
+from twostage_servo.control.model_monitor.encoder_change import EncoderChange
 from twostage_servo.control.model_monitor.hypotheses import ACCEPTED, Deviation, deviating, slow_observer
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.plant import Plant
@@ -14,7 +14,7 @@ from twostage_servo.control.plant import Plant
 PLANT = Plant(180.0, 14.0)
 NOISE = NoiseModel()
 MODEL = ACCEPTED.index(Deviation(1.0, 1.0))
-LATE = ACCEPTED.index(Deviation(1.3, 0.7, is_delayed=True))
+STRONG = ACCEPTED.index(Deviation(1.3, 0.7))
 EFFORTS = [6.0, 1.0, -3.0, 8.0, 4.0, -9.0]
 NEVER = float("inf")
 
@@ -26,40 +26,45 @@ def estimate(velocity: float = 50.0, deviation: Deviation = ACCEPTED[0], period_
     return free
 
 
-def surprise(
-    origin: DisturbanceObserver, likeliest: int = MODEL, square: float = 1.0, opens: float = NEVER
-) -> Surprise:
-    """Return what a sample that surprises the accepted plants by 1 mm comes to."""
-    return Surprise(square, opens, origin, origin, likeliest)
-
-
-def change(
-    factor: float, origin: DisturbanceObserver, likeliest: int | None = None, period_s: float = 0.01
-) -> EncoderChange:
-    """Return a change that comes with the next sample, of the model or of the likeliest plant."""
-    one = EncoderChange(factor, PLANT, period_s, NOISE, follows_likeliest=likeliest is not None)
-    one.begin(origin, likeliest or 0)
+def change(factor: float, origin: DisturbanceObserver, plant: int = MODEL, period_s: float = 0.01) -> EncoderChange:
+    """Return a change of an accepted plant that comes with the next sample."""
+    one = EncoderChange(factor, ACCEPTED[plant], PLANT, period_s, NOISE)
+    one.begin(origin)
     return one
 
 
+def show(
+    one: EncoderChange,
+    sample: float,
+    effort: float,
+    lag_s: float = 0.0,
+    *,
+    origin: DisturbanceObserver | None = None,
+    square: float = 1.0,
+    opens: float = NEVER,
+) -> None:
+    """Give it a sample that surprises the accepted plants by 1 mm, unless another square is given."""
+    one.update(sample, effort, lag_s, origin or estimate(), square, opens)
+
+
 @pytest.mark.parametrize("period_s", [0.002, 0.01, 0.02])
-@pytest.mark.parametrize("likeliest", [None, LATE])
+@pytest.mark.parametrize("plant", [MODEL, STRONG])
 @pytest.mark.parametrize("lag_s", [0.0, 0.004])
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 0.5, 2.0])
 def test_an_encoder_that_has_changed_in_the_period_before_surprises_its_hypothesis_by_nothing(
-    factor: float, lag_s: float, likeliest: int | None, period_s: float
+    factor: float, lag_s: float, plant: int, period_s: float
 ) -> None:
     """It shows f times the way since, that of the first period too, a12 v; an older sample shows what was then."""
-    truth = estimate(50.0, ACCEPTED[likeliest or 0], period_s)
-    one = change(factor, truth, likeliest, period_s)
+    truth = estimate(50.0, ACCEPTED[plant], period_s)
+    one = change(factor, truth, plant, period_s)
     begun_at, a12 = truth.position, truth.plant.a12
     first = begun_at - (1.0 - factor) * a12 * 50.0
     kept = 0.93 ** (period_s / 0.01)
     accepted = 0.0
-    for ticks, (effort, late) in enumerate(zip(EFFORTS, [20.0, *EFFORTS], strict=False), start=1):
+    for ticks, effort in enumerate(EFFORTS, start=1):
         shown = first + factor * (truth.position - begun_at)
-        one.update(shown - factor * truth.velocity * lag_s, effort, late, lag_s, surprise(truth))
-        truth.predict(effort if likeliest is None else late)
+        show(one, shown - factor * truth.velocity * lag_s, effort, lag_s)
+        truth.predict(effort)
         accepted = kept * accepted + 1.0
         assert one.own_sum == pytest.approx(0.0, abs=1e-18)
         assert one.accepted_sum == pytest.approx(accepted)
@@ -68,18 +73,18 @@ def test_an_encoder_that_has_changed_in_the_period_before_surprises_its_hypothes
         assert one.reckon().velocity == pytest.approx(truth.velocity)
 
 
-@pytest.mark.parametrize("likeliest", [None, LATE])
+@pytest.mark.parametrize("plant", [MODEL, STRONG])
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 2.0])
-def test_neither_a_missing_sample_nor_another_origin_surprises_it(factor: float, likeliest: int | None) -> None:
-    truth = estimate(50.0, ACCEPTED[likeliest or 0])
-    one = change(factor, truth, likeliest)
+def test_neither_a_missing_sample_nor_another_origin_surprises_it(factor: float, plant: int) -> None:
+    truth = estimate(50.0, ACCEPTED[plant])
+    one = change(factor, truth, plant)
     begun_at, first = truth.position, truth.position - (1.0 - factor) * truth.plant.a12 * 50.0
-    for tick, (effort, late) in enumerate(zip(EFFORTS, [20.0, *EFFORTS], strict=False)):
+    for tick, effort in enumerate(EFFORTS):
         if tick == 3:
-            one.predict(effort, late)
+            one.predict(effort)
         else:
-            one.update(first + factor * (truth.position - begun_at), effort, late, 0.0, surprise(truth))
-        truth.predict(effort if likeliest is None else late)
+            show(one, first + factor * (truth.position - begun_at), effort)
+        truth.predict(effort)
         if tick == 1:
             one.shift(300.0)
             first += 300.0
@@ -100,7 +105,7 @@ def test_it_follows_its_samples_as_slowly_as_every_hypothesis(factor: float) -> 
     total = 0.0
     for effort in EFFORTS:
         sample = by_hand.position + 0.3
-        one.update(sample, effort, 99.0, 0.0, surprise(truth))
+        show(one, sample, effort)
         by_hand.update(sample, effort)
         total = 0.93 * total + 0.3**2
         assert one.own_sum == pytest.approx(total)
@@ -113,30 +118,26 @@ def test_an_encoder_that_stands_still_is_followed_by_the_gain_for_a_place_off_by
     one = change(0.0, truth)
     shown = truth.position - truth.plant.a12 * 50.0 + 0.3
     for _ in range(2):
-        one.update(shown, 5.0, 99.0, lag_s, surprise(truth))
+        show(one, shown, 5.0, lag_s)
     left = 0.3 * (1.0 - kalman_gain(truth.plant, NOISE).current[0])
     assert one.own_sum == pytest.approx(0.93 * 0.3**2 + left**2)
 
 
-@pytest.mark.parametrize("likeliest", [None, LATE])
-def test_where_it_explains_no_more_it_begins_anew_from_the_model_or_from_the_plant_that_explains_most(
-    likeliest: int | None,
-) -> None:
-    one = change(2.0, estimate(), likeliest)
-    model, origin = estimate(70.0), estimate(90.0)
-    expected = 10.0 + estimate(50.0, ACCEPTED[likeliest or 0]).plant.a12 * 50.0
-    one.update(expected + 0.5, 6.0, 20.0, 0.0, Surprise(0.26, NEVER, model, origin, MODEL))
+@pytest.mark.parametrize("plant", [MODEL, STRONG])
+def test_where_it_explains_no_more_it_begins_anew_from_the_estimate_of_its_plant(plant: int) -> None:
+    one = change(2.0, estimate(), plant)
+    expected = 10.0 + estimate(50.0, ACCEPTED[plant]).plant.a12 * 50.0
+    show(one, expected + 0.5, 6.0, origin=estimate(70.0), square=0.26)
     assert one.ticks == 1  # a square of 0.25 is less than 0.26
-    one.update(-40.0, 6.0, 20.0, 0.0, Surprise(0.26, NEVER, model, origin, LATE))
+    show(one, -40.0, 6.0, origin=estimate(90.0), square=0.26)
     assert (one.ticks, one.own_sum, one.accepted_sum) == (0, 0.0, 0.0)
-    assert one.reckon().velocity == (70.0 if likeliest is None else 90.0)
-    deviation = ACCEPTED[MODEL if likeliest is None else LATE]
-    friction = 14.0 / 180.0 * (1.0 - deviation.pole / deviation.gain)
-    assert one.reckon().disturbance == pytest.approx(2.0 + friction * one.reckon().velocity)
+    assert one.reckon().velocity == 90.0
+    friction = 14.0 / 180.0 * (1.0 - ACCEPTED[plant].pole / ACCEPTED[plant].gain)
+    assert one.reckon().disturbance == pytest.approx(2.0 + friction * 90.0)
 
 
-def test_a_change_is_that_of_the_model_until_it_begins() -> None:
-    one = EncoderChange(0.5, PLANT, 0.01, NOISE, follows_likeliest=True)
+def test_a_change_is_at_rest_until_it_begins() -> None:
+    one = EncoderChange(0.5, ACCEPTED[STRONG], PLANT, 0.01, NOISE)
     assert (one.factor, one.ticks, one.own_sum, one.accepted_sum) == (0.5, 0, 0.0, 0.0)
     assert one.reckon() == (0.0, 0.0)
 
@@ -153,7 +154,7 @@ def first_sample(
     jump = (1.0 - factor) * PLANT.discretise(max(0.01, period_s)).a12 * velocity
     expected = 10.0 - (1.0 - factor) * truth.plant.a12 * velocity
     sample = expected + share * jump - factor * velocity * lag_s
-    one.update(sample, 0.0, 0.0, lag_s, surprise(truth, square=square, opens=0.9))
+    show(one, sample, 0.0, lag_s, square=square, opens=0.9)
     return one
 
 
@@ -207,17 +208,17 @@ def test_an_encoder_that_stands_still_shows_no_part_of_it() -> None:
 def test_a_second_sample_shows_no_part_of_a_change() -> None:
     truth = estimate()
     one = change(-1.0, truth)
-    one.update(10.0 - 2.0 * truth.plant.a12 * 50.0, 0.0, 0.0, 0.0, surprise(truth, opens=0.9))
+    show(one, 10.0 - 2.0 * truth.plant.a12 * 50.0, 0.0, opens=0.9)
     truth.predict(0.0)
     mirrored = 10.0 - 2.0 * estimate().plant.a12 * 50.0 - (truth.position - 10.0)
-    one.update(mirrored + 0.2, 0.0, 0.0, 0.0, surprise(truth, opens=0.9))
+    show(one, mirrored + 0.2, 0.0, opens=0.9)
     assert one.own_sum == pytest.approx(0.2**2)
     assert is_certain_after(one, 3)
 
 
 def test_a_change_that_begins_anew_has_shown_no_part() -> None:
     one = first_sample(-1.0, 50.0, 0.5)
-    one.begin(estimate(), 0)
+    one.begin(estimate())
     assert is_certain_after(one, 3)
 
 
@@ -242,7 +243,7 @@ def test_an_encoder_that_stands_still_has_to_explain_fifty_ms_and_five_samples(p
 def test_the_jump_is_that_of_the_plant_that_it_begins_from() -> None:
     """With a pole of 0.7 times 14 in 1/s an axis keeps more of its speed: a12 is 9.53 ms, the model's is 9.33 ms."""
     for velocity, expected in ((3.29, True), (3.27, False)):
-        assert is_certain_after(change(-1.0, estimate(velocity), LATE), 9) is expected
+        assert is_certain_after(change(-1.0, estimate(velocity), STRONG), 9) is expected
         assert is_certain_after(change(-1.0, estimate(velocity)), 9) is False
 
 
@@ -292,9 +293,3 @@ def test_on_a_short_tick_the_noise_of_more_samples_counts() -> None:
     for own, expected in ((0.0590, True), (0.0593, False)):
         one.own_sum = own
         assert one.explains(0.125, 1.0, 0.01) is expected
-
-
-def test_unless_told_otherwise_it_begins_anew_from_the_model() -> None:
-    one = EncoderChange(2.0, PLANT, 0.01, NOISE)
-    one.update(3.0, 0.0, 0.0, 0.0, Surprise(0.0, NEVER, estimate(70.0), estimate(90.0), LATE))
-    assert one.reckon().velocity == 70.0

@@ -60,11 +60,13 @@ def test_a_surprise_of_one_and_a_quarter_standard_deviations_decides(
         ({0.45: 1 / 5.1}, 0.45),
         ({0.5: 1 / 29.0}, None),
         ({0.5: 1 / 31.0}, 0.5),
-        ({2.0: 1 / 5.1}, 2.0),
+        ({2.0: 1 / 7.9}, None),
+        ({2.0: 1 / 8.1}, 2.0),
+        ({2.2: 1 / 4.9}, None),
         ({2.2: 1 / 5.1}, 2.2),
     ],
 )
-def test_a_sign_has_to_be_eight_times_better_a_scale_five_and_half_a_scale_thirty(
+def test_a_sign_and_twice_the_scale_have_to_be_eight_times_better_half_of_it_thirty_and_what_is_beyond_five(
     shares: dict[float, float], expected: float | None
 ) -> None:
     assert verdict(2.0, shares) == expected

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.control.model_monitor.test_monitor import PERIOD_S, PLANT, Bench
 from twostage_servo.control.model_monitor.encoder_change import EncoderChange
-from twostage_servo.control.model_monitor.hypotheses import ACCEPTED, Deviation, LateEffort, forgetting
+from twostage_servo.control.model_monitor.hypotheses import Deviation, LateEffort, forgetting
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel
 
 TICKS_S = (0.001, 0.002, 0.005, 0.02)
@@ -68,7 +68,7 @@ def test_a_change_in_a_cruise_is_told_within_a_tenth_of_a_second(
 def test_a_sign_that_turns_while_another_plant_speeds_up_is_told(
     period_s: float, gain_and_pole: tuple[float, float]
 ) -> None:
-    """The model's own estimate of the speed is off by up to half then, that of the likeliest plant is not."""
+    """The model's own estimate of the speed is off by up to half then, that of a plant like it is not."""
     bench = Bench(*gain_and_pole, period_s)
     efforts = ramp(period_s)
     middle = len(efforts) // 2
@@ -85,10 +85,10 @@ def test_a_sign_that_turns_while_another_plant_speeds_up_is_told(
 
 def test_what_is_reckoned_of_another_plant_disturbs_the_model_by_its_load_and_by_the_friction_that_it_has_not() -> None:
     """At 80 mm/s the model takes 80 * 14 / 180 V, the plant 80 * 9.8 / 234 V: by the difference it is pushed."""
-    change = EncoderChange(-1.0, PLANT, PERIOD_S, NoiseModel(), follows_likeliest=True)
+    change = EncoderChange(-1.0, Deviation(*OFF_MODEL), PLANT, PERIOD_S, NoiseModel())
     plant = DisturbanceObserver(PLANT.discretise(PERIOD_S), NO_CORRECTION)
     plant.velocity, plant.disturbance = 80.0, -1.0
-    change.begin(plant, ACCEPTED.index(Deviation(*OFF_MODEL)))
+    change.begin(plant)
     assert change.reckon().velocity == 80.0
     assert change.reckon().disturbance == pytest.approx(-1.0 + 80.0 * 14.0 / 180.0 - 80.0 * 9.8 / 234.0)
 

@@ -6,15 +6,15 @@ for as long as it explains no more than the accepted plants do, and so keeps the
 sequential test with restarts (E. S. Page, *Continuous inspection schemes*, Biometrika 41, 1954). A change comes within
 a period, so its first sample may show any part of it.
 
-It begins from the model's estimate, or from that of the plant that has explained the samples best: while an axis that
-is off its model speeds up, the model's own estimate of its speed may be off by half. An encoder that stands still
-begins from the model's alone: where it stands from rest on, what explains it best is the plant that moves least.
+A hypothesis belongs to one accepted plant, and begins from that plant's own estimate of speed and load. While an axis
+that is off its model speeds up or slows down, the model's estimate of its speed may be off by half; and where it has
+only begun to, nothing tells yet which plant is the true one. An encoder that stands still is supposed of the model
+alone: where it stands from rest on, what explains it best is the plant that moves least.
 """
 
 from typing import Final, NamedTuple
 
 from twostage_servo.control.model_monitor.hypotheses import (
-    ACCEPTED,
     Deviation,
     deviating,
     forgetting,
@@ -67,49 +67,6 @@ class Reckoning(NamedTuple):
     disturbance: float
 
 
-class Surprise(NamedTuple):
-    """What a sample has come to, as the accepted plants see it.
-
-    Attributes
-    ----------
-    least_square
-        The smallest squared innovation of them, in (axis unit)².
-    opening_square
-        What that has to be for a first sample to show a part of a change.
-    model
-        The law's own estimate.
-    origin
-        The estimate of the one that explains the samples best.
-    likeliest
-        Its index in :data:`~twostage_servo.control.model_monitor.hypotheses.ACCEPTED`.
-    """
-
-    least_square: float
-    opening_square: float
-    model: DisturbanceObserver
-    origin: DisturbanceObserver
-    likeliest: int
-
-
-class _Branch:
-    """The hypothesis on one of the accepted plants."""
-
-    __slots__ = ("deviation", "nominal_step", "observer", "step", "truth")
-
-    def __init__(self, factor: float, deviation: Deviation, model: Plant, period_s: float, noise: NoiseModel) -> None:
-        plant = deviating(model, deviation)
-        sampled = plant.discretise(period_s)
-        self.deviation = deviation
-        if factor:
-            self.observer = slow_observer(deviating(model, deviation, factor), period_s, noise)
-        else:  # what stands still has neither velocity nor an answer to the effort; its place may be off by noise
-            gain = kalman_gain(model.discretise(period_s), noise).current[0]
-            self.observer = DisturbanceObserver(DiscretePlant(period_s, 0.0, 0.0, 0.0, 0.0), (gain, 0.0, 0.0))
-        self.truth = DisturbanceObserver(sampled, NO_CORRECTION)
-        self.step = (1.0 - factor) * sampled.a12
-        self.nominal_step = (1.0 - factor) * plant.discretise(max(NOMINAL_S, period_s)).a12
-
-
 class EncoderChange:
     """The hypothesis that the encoder counts `factor` times as much since a tick of its own choosing.
 
@@ -117,15 +74,14 @@ class EncoderChange:
     ----------
     factor
         -1 turned round, 0 stands still, others a scale.
+    deviation
+        Of which accepted plant that is supposed; one whose effort is not delayed.
     model
         The model of the plant.
     period_s
         The tick, in s.
     noise
         What the law's observer assumes.
-    follows_likeliest
-        Whether it begins from the accepted plant that explains the samples best, and goes on with that one, or with the
-        model.
 
     Attributes
     ----------
@@ -139,33 +95,35 @@ class EncoderChange:
     """
 
     __slots__ = (
-        "_branch", "_branches", "_follows_likeliest", "_forgetting", "_friction", "_in_part", "_jump", "_jump_share",
-        "_least_ticks", "accepted_sum", "factor", "own_sum", "ticks",
+        "_forgetting", "_in_part", "_jump", "_jump_share", "_least_ticks", "_missing_friction", "_nominal_step",
+        "_observer", "_step", "_truth", "accepted_sum", "factor", "own_sum", "ticks",
     )  # fmt: skip
 
-    def __init__(
-        self, factor: float, model: Plant, period_s: float, noise: NoiseModel, *, follows_likeliest: bool = False
-    ) -> None:
+    def __init__(self, factor: float, deviation: Deviation, model: Plant, period_s: float, noise: NoiseModel) -> None:
         self.factor = factor
-        self._follows_likeliest = follows_likeliest
+        plant = deviating(model, deviation)
+        sampled = plant.discretise(period_s)
+        if factor:
+            self._observer = slow_observer(deviating(model, deviation, factor), period_s, noise)
+        else:  # what stands still has neither velocity nor an answer to the effort; its place may be off by noise
+            gain = kalman_gain(model.discretise(period_s), noise).current[0]
+            self._observer = DisturbanceObserver(DiscretePlant(period_s, 0.0, 0.0, 0.0, 0.0), (gain, 0.0, 0.0))
+        self._truth = DisturbanceObserver(sampled, NO_CORRECTION)
+        self._step = (1.0 - factor) * sampled.a12
+        self._nominal_step = (1.0 - factor) * plant.discretise(max(NOMINAL_S, period_s)).a12
+        self._missing_friction = (1.0 - deviation.pole / deviation.gain) * model.pole / model.gain
         self._forgetting = forgetting(period_s)
-        self._friction = model.pole / model.gain
-        self._branches = [
-            _Branch(factor, deviation, model, period_s, noise)
-            for deviation in (ACCEPTED if follows_likeliest else ACCEPTED[:1])
-        ]
         self._jump_share = JUMP_SHARE if factor else 2.0 * JUMP_SHARE
         self._least_ticks = CHANGE_TICKS if factor else samples_in(STANDING_S, period_s, STANDING_TICKS)
-        self.begin(self._branches[0].truth, 0)
+        self.begin(self._truth)
 
-    def begin(self, origin: DisturbanceObserver, likeliest: int) -> None:
-        """Suppose that the change comes with the next sample; the plant and its load go on as before."""
-        branch = self._branch = self._branches[likeliest]
-        observer, velocity = branch.observer, origin.velocity
+    def begin(self, origin: DisturbanceObserver) -> None:
+        """Suppose that the change comes with the next sample; the plant and its load go on as `origin` has them."""
+        observer, velocity = self._observer, origin.velocity
         observer.continue_from(origin)
-        branch.truth.continue_from(origin)
-        self._jump = branch.nominal_step * velocity
-        observer.position -= branch.step * velocity
+        self._truth.continue_from(origin)
+        self._jump = self._nominal_step * velocity
+        observer.position -= self._step * velocity
         observer.velocity = self.factor * velocity
         self.own_sum = self.accepted_sum = 0.0
         self.ticks = 0
@@ -173,41 +131,56 @@ class EncoderChange:
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
-        self._branch.observer.position += distance
-        self._branch.truth.position += distance
+        self._observer.position += distance
+        self._truth.position += distance
 
-    def predict(self, effort: float, late_effort: float) -> None:
-        """Account for a period without a sample, in which an effort acted, or a late one on a delayed plant."""
-        branch = self._branch
-        acting = late_effort if branch.deviation.is_delayed else effort
-        branch.observer.predict(acting)
-        branch.truth.predict(acting)
+    def predict(self, effort: float) -> None:
+        """Account for a period without a sample, in which an effort (effort unit) acted."""
+        self._observer.predict(effort)
+        self._truth.predict(effort)
 
-    def update(self, sample: float, effort: float, late_effort: float, lag_s: float, surprise: Surprise) -> None:
-        """Take a sample, and the effort that acted, or the late one that acted on a delayed plant."""
-        branch = self._branch
-        observer = branch.observer
-        acting = late_effort if branch.deviation.is_delayed else effort
+    def update(
+        self,
+        sample: float,
+        effort: float,
+        lag_s: float,
+        origin: DisturbanceObserver,
+        least_square: float,
+        opening_square: float,
+    ) -> None:
+        """Take a sample.
+
+        Parameters
+        ----------
+        sample, effort
+            In axis unit, and the effort that acted, in effort unit.
+        lag_s
+            How much older than that effort the sample is, in s.
+        origin
+            The plant's own estimate, which has taken the sample already: where it begins anew.
+        least_square
+            The smallest squared innovation of the accepted plants, in (axis unit)².
+        opening_square
+            What that has to be for a first sample to show a part of a change.
+        """
+        observer = self._observer
         dated = sample + observer.velocity * lag_s
-        if self.factor and not self.ticks and surprise.least_square > surprise.opening_square:
+        if self.factor and not self.ticks and least_square > opening_square:
             self._open(dated)
-        observer.update(dated, acting)
-        branch.truth.predict(acting)
+        observer.update(dated, effort)
+        self._truth.predict(effort)
         own = self.own_sum = self._forgetting * self.own_sum + observer.innovation * observer.innovation
-        accepted = self.accepted_sum = self._forgetting * self.accepted_sum + surprise.least_square
+        accepted = self.accepted_sum = self._forgetting * self.accepted_sum + least_square
         self.ticks += 1
         if accepted <= own:
-            if self._follows_likeliest:
-                self.begin(surprise.origin, surprise.likeliest)
-            else:
-                self.begin(surprise.model, 0)
+            self.begin(origin)
 
     def _open(self, sample: float) -> None:
         """Suppose that the change has come a little later: the first sample shows a part of it.
 
         Within a period; or, where a drive that sends by a clock of its own does so less often, before its next frame.
         """
-        observer = self._branch.observer
+        observer = self._observer
         distance = sample - observer.position
         if min(0.0, self._jump) < distance < max(0.0, self._jump):
             observer.position = sample
@@ -257,6 +230,5 @@ class EncoderChange:
 
     def reckon(self) -> Reckoning:
         """Return the speed and what disturbs the *model* at it: a load, and the friction that it does not have."""
-        truth, plant = self._branch.truth, self._branch.deviation
-        missing_friction = (1.0 - plant.pole / plant.gain) * self._friction
-        return Reckoning(truth.velocity, truth.disturbance + missing_friction * truth.velocity)
+        truth = self._truth
+        return Reckoning(truth.velocity, truth.disturbance + self._missing_friction * truth.velocity)

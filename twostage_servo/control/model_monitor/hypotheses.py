@@ -59,16 +59,21 @@ OTHER_GAINS: Final = (
     OtherGain(-1.0, Deviation(0.7, 1.0), evidence=8.0),
     OtherGain(0.45, Deviation(1.0, 1.0), evidence=5.0),
     OtherGain(0.5, Deviation(1.0, 1.0), evidence=30.0),
-    OtherGain(2.0, Deviation(1.0, 1.0), evidence=5.0),
+    OtherGain(2.0, Deviation(1.0, 1.0), evidence=8.0),
     OtherGain(2.2, Deviation(1.0, 1.0), evidence=5.0),
 )
 """Gains that are not. A sign is told from as little as it takes on a plant that is off its model too. A factor of two,
-either way, is what a wrong setting of a decoder or a gear makes; beyond that come 0.45 and 2.2. Half the gain takes
+either way, is what a wrong setting of a decoder or a gear makes; beyond that come 0.45 and 2.2. Twice the gain takes as
+much as a sign: a load that sets in while an axis begins to move, and helps, looks like it 5 times. Half the gain takes
 more: while a plant with 30 % less gain and a pole 30 % higher speeds up, it explains that up to 23 times better than
 each accepted plant does."""
 
 CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 """How many times as much the encoder counts after a change."""
+
+CHANGE_PLANTS: Final = (0, 1, 5)
+"""Accepted plants of which a change is supposed, by their indices: the model, the one that answers the least, and the
+one that answers the most for its friction. An encoder that stands still is supposed of the model alone."""
 
 _FORGETTING: Final = 0.93
 """Weight of the window for each :data:`NOMINAL_S` of age: a time constant of 138 ms."""

@@ -21,10 +21,11 @@ on; :meth:`ModelMonitor.reckon` gives its state.
 from math import inf
 from typing import Final
 
-from twostage_servo.control.model_monitor.encoder_change import EncoderChange, Reckoning, Surprise
+from twostage_servo.control.model_monitor.encoder_change import EncoderChange, Reckoning
 from twostage_servo.control.model_monitor.hypotheses import (
     ACCEPTED,
     CHANGE_FACTORS,
+    CHANGE_PLANTS,
     OTHER_GAINS,
     LateEffort,
     deviating,
@@ -37,9 +38,6 @@ from twostage_servo.control.plant import Plant
 STILL_EVIDENCE: Final = 4.0
 """How many times smaller the sum of squares of another gain has to be than that of an encoder that stands still, and
 shows nothing but noise."""
-
-BETTER_SHARE: Final = 0.4
-"""Share of the model's sum of squares below which another accepted plant is taken for the true one."""
 
 NOISE_SHARE: Final = 1.25
 """Surprise below which nothing is decided, in standard deviations of the measured position."""
@@ -82,8 +80,8 @@ class ModelMonitor:
 
     __slots__ = (
         "_accepted", "_accepted_sums", "_changes", "_date_share_s", "_forgetting", "_gains", "_innovation",
-        "_late_effort", "_least", "_least_at_rest", "_noise_square", "_sample", "_still_sum", "_sum", "_sums",
-        "is_sure", "surprise",
+        "_late_effort", "_least", "_least_at_rest", "_noise_square", "_origins", "_sample", "_still_sum",
+        "_sum", "_sums", "is_sure", "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
@@ -96,10 +94,10 @@ class ModelMonitor:
         self._gains = [
             slow_observer(deviating(plant, other.plant, other.factor), period_s, noise) for other in OTHER_GAINS
         ]
-        self._changes = [
-            *(EncoderChange(factor, plant, period_s, noise) for factor in CHANGE_FACTORS),
-            *(EncoderChange(f, plant, period_s, noise, follows_likeliest=True) for f in CHANGE_FACTORS if f),
-        ]
+        of_plants = [(factor, index) for index in CHANGE_PLANTS for factor in CHANGE_FACTORS if factor or not index]
+        self._changes = [EncoderChange(factor, ACCEPTED[i], plant, period_s, noise) for factor, i in of_plants]
+        # The law's own observer is the estimate of the model; it may be another one from tick to tick.
+        self._origins = [self._accepted[index][0] if index else None for _, index in of_plants]
         self._least = self._least_at_rest = NOISE_SHARE * noise.measurement_variance**0.5
         self._date_share_s = DATE_SHARE * date_error_s
         self.is_sure = True
@@ -122,7 +120,7 @@ class ModelMonitor:
         for observer in self._gains:
             observer.continue_from(model)
         for change in self._changes:
-            change.begin(model, 0)
+            change.begin(model)
         self._late_effort.start(effort)
         self._still_sum = 0.0
         self._sample = model.position
@@ -149,7 +147,7 @@ class ModelMonitor:
         for observer in self._gains:
             observer.predict(effort)
         for change in self._changes:
-            change.predict(effort, late_effort)
+            change.predict(effort)
 
     def update(
         self, sample: float, effort: float, model: DisturbanceObserver, speed: float, lag_s: float = 0.0
@@ -180,9 +178,8 @@ class ModelMonitor:
         self.is_sure = least_square <= self._least * self._least
         self._measure_noise(model.innovation)
         opening_square = self._opening_square()
-        surprise = Surprise(least_square, opening_square, model, *self._likeliest(model, opening_square))
-        for change in self._changes:
-            change.update(sample, effort, late_effort, lag_s, surprise)
+        for change, origin in zip(self._changes, self._origins, strict=True):
+            change.update(sample, effort, lag_s, origin or model, least_square, opening_square)
 
     def _compare_accepted(self, sample: float, effort: float, late_effort: float, lag_s: float) -> float:
         """Give the accepted plants a tick, and return their smallest squared innovation in (axis unit)²."""
@@ -206,18 +203,6 @@ class ModelMonitor:
         deviation: float = OPENING_SHARE * self._least
         noise_square: float = OPENING_DEVIATIONS * OPENING_DEVIATIONS * self._noise_square
         return max(noise_square, deviation * deviation)
-
-    def _likeliest(self, model: DisturbanceObserver, surprising: float) -> tuple[DisturbanceObserver, int]:
-        """Return the estimate of the accepted plant that explains the samples best, and which one that is.
-
-        The law's own estimate of the model, unless that is surprised and another one is better by far.
-        """
-        sums = self._accepted_sums
-        least = min(sums)
-        if sums[0] > surprising and least < BETTER_SHARE * sums[0]:
-            best = sums.index(least)
-            return self._accepted[best][0], best
-        return model, 0
 
     @property
     def better_factor(self) -> float | None:
