@@ -15,7 +15,7 @@ from twostage_servo.drives.dbc.drive_type import DBC
 from twostage_servo.drives.dbc.settings import ProtocolSettings
 from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.drives.protocol_error import ProtocolError
-from twostage_servo.drives.registry import DriveType, drive_type
+from twostage_servo.drives.registry import DRIVES, DriveType
 
 
 def drive(**tables: object) -> DbcDrive:
@@ -34,7 +34,7 @@ def received(frame: tuple[Identifier, bytes]) -> can.Message:
 
 
 def test_it_is_the_type_of_its_entry_point() -> None:
-    assert drive_type("dbc") is DBC
+    assert DRIVES.get("dbc") is DBC
     assert isinstance(DBC, DriveType)
     assert DBC.settings is ProtocolSettings
 

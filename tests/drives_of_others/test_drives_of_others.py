@@ -140,7 +140,7 @@ def test_a_package_that_is_broken_is_told_as_a_wrong_key(
 ) -> None:
     install(tmp_path, entry_point)
     monkeypatch.syspath_prepend(tmp_path)
-    registry.drive_type.cache_clear()
+    registry.DRIVES.forget()
     problem = refused(with_protocol(tmp_path, 'type = "node"', "node = 5"))
     assert problem.key == "protocol.type"
     assert text in problem.message

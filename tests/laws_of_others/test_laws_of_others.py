@@ -2,6 +2,7 @@
 
 import json
 import tomllib
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,6 @@ def test_a_package_that_is_broken_is_told(
 
 def test_the_built_in_law_is_declared_as_any_other() -> None:
     declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["entry-points"]
-    module, _, attribute = declared[registry.GROUP][registry.PAPER].partition(":")
-    assert (module, attribute) == registry._PAPER_TYPE
-    assert registry.law_type(registry.PAPER) is PAPER
+    (point,) = metadata.entry_points(group=registry.GROUP, name=registry.PAPER)
+    assert point.value == declared[registry.GROUP][registry.PAPER]
+    assert point.load() is registry.LAWS.get(registry.PAPER) is PAPER

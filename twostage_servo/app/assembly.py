@@ -14,7 +14,7 @@ from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.drives.drive import Drive, DriveSide
 from twostage_servo.drives.protocol_error import ProtocolError
-from twostage_servo.drives.registry import drive_type
+from twostage_servo.drives.registry import DRIVES
 from twostage_servo.service.settings import ServiceSettings
 
 _RESTART = "has changed: only a restart of the service can follow that"
@@ -47,7 +47,7 @@ def build_drive(loaded: LoadedConfig[Config]) -> Drive:
         If the drive does not fit its settings, or its command cannot carry the effort limit.
     """
     config = loaded.config
-    make = drive_type(config.protocol.type).build
+    make = DRIVES.get(config.protocol.type).build
     try:
         drive: Drive = make(config.protocol, loaded.folder, config.axis.unit, config.bus.fd)
     except ProtocolError as error:
@@ -58,7 +58,7 @@ def build_drive(loaded: LoadedConfig[Config]) -> Drive:
 
 def drive_side(loaded: LoadedConfig[Config], drive: Drive) -> DriveSide:
     """Return the drive's own end of a drive of this configuration, for a simulated one."""
-    side: DriveSide = drive_type(loaded.config.protocol.type).side(drive)
+    side: DriveSide = DRIVES.get(loaded.config.protocol.type).side(drive)
     return side
 
 
@@ -160,7 +160,7 @@ def _reread_axis(
     if fresh.config.axis.unit != running.config.axis.unit:  # the frames were compiled for it
         raise fresh.problem(("axis", "unit"), f"the unit {_RESTART}")
     try:
-        drive_type(fresh.config.protocol.type).check_unchanged(fresh.config.protocol, fresh.folder, traits)
+        DRIVES.get(fresh.config.protocol.type).check_unchanged(fresh.config.protocol, fresh.folder, traits)
     except ProtocolError as error:
         raise fresh.problem(error.key, str(error)) from error
     _check_effort(fresh, traits)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.control.laws import law
 from twostage_servo.control.laws.law import ControlTask, Law, LawDesign
-from twostage_servo.control.laws.registry import PAPER, law_type
+from twostage_servo.control.laws.registry import LAWS, PAPER
 from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, KalmanGain, NoiseModel, kalman_gain
 from twostage_servo.control.plant import MODEL_ERROR, DiscretePlant, Plant, Triple
@@ -160,7 +160,7 @@ def design_axis(settings: AxisSettings, period_s: float) -> AxisDesign:
         rest_velocity=REST_SHARE * limits.velocity,
     )
     try:
-        designed = law_type(settings.law.type).design(settings.law.keys, task)
+        designed = LAWS.get(settings.law.type).design(settings.law.keys, task)
     except law.DesignError as error:
         raise DesignError(("axis", "law", *_place(settings, error.key)), str(error)) from error
     return AxisDesign(settings, period_s, sampled, noise, kalman, designed)

@@ -10,7 +10,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from twostage_servo.control.laws.paper_type import PaperSettings
-from twostage_servo.control.laws.registry import PAPER, LawType, UnknownLawError, law_names, law_type
+from twostage_servo.control.laws.registry import LAWS, PAPER, LawType
+from twostage_servo.plug_ins import UnknownPlugInError
 from twostage_servo.settings.base import Settings, quantity
 
 
@@ -30,8 +31,8 @@ class LawSettings(Settings):
     def _installed(cls, name: str) -> str:
         if name not in _tables(cls.model_fields):
             try:
-                law_type(name)
-            except UnknownLawError as error:
+                LAWS.get(name)
+            except UnknownPlugInError as error:
                 raise ValueError(str(error)) from None
             raise ValueError(f"{name!r} is no name of a law")
         return name
@@ -58,9 +59,9 @@ class LawSettings(Settings):
     def all_fields(cls) -> Mapping[str, FieldInfo]:
         """Return the keys, and the table of each law that is installed."""
         fields = dict(cls.model_fields)
-        for name in law_names():
-            with contextlib.suppress(UnknownLawError):  # a package that is broken has no keys
-                fields.setdefault(name, _table_of(law_type(name)))
+        for name in LAWS.names():
+            with contextlib.suppress(UnknownPlugInError):  # a package that is broken has no keys
+                fields.setdefault(name, _table_of(LAWS.get(name)))
         return fields
 
     @property
@@ -93,8 +94,8 @@ def _with_tables(names: tuple[str, ...]) -> type[LawSettings]:
     """Return the settings of a law with a table for each of these laws, as far as they are installed."""
     tables: dict[str, Any] = {}
     for name in names:
-        with contextlib.suppress(UnknownLawError):
-            law = law_type(name)
+        with contextlib.suppress(UnknownPlugInError):
+            law = LAWS.get(name)
             tables[name] = (law.settings, law.settings())
     return create_model("LawSettings", __base__=LawSettings, **tables) if tables else LawSettings
 

@@ -4,7 +4,8 @@ from typing import Any, TypeAlias
 
 from pydantic import Field, ModelWrapValidatorHandler, field_validator, model_validator
 
-from twostage_servo.drives.registry import DBC, UnknownDriveError, drive_type
+from twostage_servo.drives.registry import DBC, DRIVES
+from twostage_servo.plug_ins import UnknownPlugInError
 from twostage_servo.settings.base import Settings
 
 SettingsClass: TypeAlias = type[Settings]
@@ -19,8 +20,8 @@ class DriveSettings(Settings):
     @classmethod
     def _is_known(cls, name: str) -> str:
         try:
-            drive_type(name)
-        except UnknownDriveError as error:
+            DRIVES.get(name)
+        except UnknownPlugInError as error:
             raise ValueError(str(error)) from error
         return name
 
@@ -51,7 +52,7 @@ def _class_of(table: dict[str, Any]) -> SettingsClass | None:
     if not isinstance(name, str):
         return None
     try:
-        found: SettingsClass = drive_type(name).settings
-    except UnknownDriveError:
+        found: SettingsClass = DRIVES.get(name).settings
+    except UnknownPlugInError:
         return None
     return found

@@ -12,9 +12,10 @@ A stop is not in the paper. Its two stages would take the change-over distance t
 the sum has to run off first. So a stop has a stage of its own: :mod:`twostage_servo.control.laws.stop`.
 """
 
-from math import copysign, inf, isfinite
+from math import copysign, inf
 from typing import NamedTuple
 
+from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.laws.stop import Stop
 from twostage_servo.control.observer import DisturbanceObserver
@@ -275,16 +276,8 @@ class TwoStageLaw:
         return Course(self._sum, self._offset, self._ramp, self._braking, self._direction)
 
     def _limited(self, effort: float) -> float:
-        """Hold the effort within its limit and its rate; what is no number stays none, for others to see."""
-        if not isfinite(effort):
-            return effort
-        limit = self.effort_limit
-        self.saturated = not -limit <= effort <= limit
-        if self.saturated:
-            effort = limit if effort > 0.0 else -limit
-        step = effort - self.effort
-        if abs(step) > self._largest_step:
-            effort = self.effort + copysign(self._largest_step, step)
+        """Hold the effort within its limit and its rate, and tell whether the limit has cut it."""
+        effort, self.saturated = limited_effort(effort, self.effort, self.effort_limit, self._largest_step)
         return effort
 
     def _braking_effort(self) -> float:

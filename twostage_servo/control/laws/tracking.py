@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import copysign, isfinite, sqrt
 
+from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
 from twostage_servo.control.laws.paper_margins import closed_loop_poles
 from twostage_servo.control.laws.stop import Stop, StopDesign
@@ -155,16 +156,8 @@ class TrackingLaw:
         self.changeovers += 1
 
     def _limited(self, effort: float) -> float:
-        """Hold the effort within its limit and its rate; what is no number stays none, for others to see."""
-        if not isfinite(effort):
-            return effort
-        limit = self.effort_limit
-        self.saturated = not -limit <= effort <= limit
-        if self.saturated:
-            effort = copysign(limit, effort)
-        step = effort - self.effort
-        if abs(step) > self._largest_step:
-            effort = self.effort + copysign(self._largest_step, step)
+        """Hold the effort within its limit and its rate, and tell whether the limit has cut it."""
+        effort, self.saturated = limited_effort(effort, self.effort, self.effort_limit, self._largest_step)
         return effort
 
 
