@@ -40,6 +40,7 @@ PATIENT = {
 JOG_TIMEOUT = "axis.jog_timeout_ms=2000"
 MOST_ATTEMPTS = 20
 LONGEST_S = 60  # ends a test that hangs; nothing is measured against it
+FRAMES_IN_THE_LONGEST = 20_000  # of service and drive together in that time, and more
 
 
 class Process:
@@ -184,54 +185,60 @@ def dbc() -> cantools.database.can.Database:
     return database
 
 
+def frames_of(listener: can.BusABC, name: str) -> Iterator[dict[str, Any]]:
+    """Read the bus, and yield each frame of a message, for as long as a drive may take to do anything."""
+    database = dbc()
+    identifier = database.get_message_by_name(name).frame_id
+    for _ in range(FRAMES_IN_THE_LONGEST):
+        message = listener.recv(LONGEST_S)
+        if message is None:
+            return
+        if message.arbitration_id == identifier:
+            yield dict(database.decode_message(identifier, bytes(message.data), decode_choices=False))  # type: ignore[arg-type]
+
+
 def feedback_with(listener: can.BusABC, signal_name: str) -> dict[str, Any]:
     """Read the bus until the drive's feedback has a signal set."""
-    database = dbc()
-    identifier = database.get_message_by_name("DriveFeedback").frame_id
-    while (message := listener.recv(LONGEST_S)) is not None:
-        if message.arbitration_id == identifier:
-            feedback: Any = database.decode_message(identifier, bytes(message.data), decode_choices=False)
-            if feedback[signal_name]:
-                return dict(feedback)
-    raise AssertionError("the drive fell silent")
+    for feedback in frames_of(listener, "DriveFeedback"):
+        if feedback[signal_name]:
+            return feedback
+    raise AssertionError("the drive never told, or fell silent")
 
 
 def position_at_rest(listener: can.BusABC) -> float:
     """Read the bus until 30 reports of the drive in a row give the same position, in mm."""
-    database = dbc()
-    identifier = database.get_message_by_name("DriveFeedback").frame_id
     reports: list[float] = []
-    while (message := listener.recv(LONGEST_S)) is not None:
-        if message.arbitration_id == identifier:
-            report: Any = database.decode_message(identifier, bytes(message.data))
-            position = float(report["Position"])
-            reports = [*reports, position] if position in reports else [position]
-            if len(reports) == 30:
-                return position
-    raise AssertionError("the drive fell silent")
+    for feedback in frames_of(listener, "DriveFeedback"):
+        position = float(feedback["Position"])
+        reports = [*reports, position] if position in reports else [position]
+        if len(reports) == 30:
+            return position
+    raise AssertionError("the axis never came to rest, or its drive fell silent")
 
 
 def commands_until_disabled(listener: can.BusABC) -> list[tuple[float, int]]:
     """Read the bus until three commands in a row disable the drive that was enabled; return (effort, enable) of all."""
-    database = dbc()
-    identifier = database.get_message_by_name("DriveCommand").frame_id
     commands: list[tuple[float, int]] = []
-    while (message := listener.recv(LONGEST_S)) is not None:
-        if message.arbitration_id == identifier:
-            command: Any = database.decode_message(identifier, bytes(message.data), decode_choices=False)
-            commands.append((command["Effort"], command["Enable"]))
-            if [enable for _, enable in commands[-3:]] == [0, 0, 0] and 1 in {enable for _, enable in commands}:
-                return commands
+    for command in frames_of(listener, "DriveCommand"):
+        commands.append((command["Effort"], command["Enable"]))
+        if [enable for _, enable in commands[-3:]] == [0, 0, 0] and 1 in {enable for _, enable in commands}:
+            return commands
     raise AssertionError(f"the drive was never disabled: {commands[-5:]}")
+
+
+def _go_on(*_: object) -> None:
+    """Handle a signal, so that a child begins with what the system does by default."""
 
 
 @pytest.fixture
 def machine(tmp_path: Path) -> Iterator[Machine]:
     machine = Machine(tmp_path)
-    # A shell lets its background jobs ignore SIGINT, and their children would inherit that.
-    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
+    # A shell lets its background jobs ignore SIGINT and SIGQUIT, and nohup SIGHUP; their children would inherit that.
+    ours = {signal.SIGINT: signal.default_int_handler, signal.SIGQUIT: _go_on, signal.SIGHUP: _go_on}
+    inherited = {number: signal.signal(number, handler) for number, handler in ours.items()}
     yield machine
-    signal.signal(signal.SIGINT, handler)
+    for number, handler in inherited.items():
+        signal.signal(number, handler)
     for popen in (*(process.popen for process in machine.started), *machine.others):
         popen.kill()
         popen.communicate()
