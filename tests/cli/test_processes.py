@@ -13,7 +13,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -234,7 +234,9 @@ def _go_on(*_: object) -> None:
 def machine(tmp_path: Path) -> Iterator[Machine]:
     machine = Machine(tmp_path)
     # A shell lets its background jobs ignore SIGINT and SIGQUIT, and nohup SIGHUP; their children would inherit that.
-    ours = {signal.SIGINT: signal.default_int_handler, signal.SIGQUIT: _go_on, signal.SIGHUP: _go_on}
+    ours: dict[signal.Signals, Callable[..., object]] = {
+        signal.SIGINT: signal.default_int_handler, signal.SIGQUIT: _go_on, signal.SIGHUP: _go_on
+    }  # fmt: skip
     inherited = {number: signal.signal(number, handler) for number, handler in ours.items()}
     yield machine
     for number, handler in inherited.items():
