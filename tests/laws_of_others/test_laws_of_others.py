@@ -130,3 +130,11 @@ def test_the_built_in_law_is_declared_as_any_other() -> None:
     (point,) = metadata.entry_points(group=registry.GROUP, name=registry.PAPER)
     assert point.value == declared[registry.GROUP][registry.PAPER]
     assert point.load() is registry.LAWS.get(registry.PAPER) is PAPER
+
+
+@pytest.mark.usefixtures("cascade")
+def test_the_fault_campaign_says_that_it_has_no_bounds_for_it(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, "faults", "--simulated", "--fault", "1", "--set", OTHER)
+    assert code == 2
+    assert "axis.law.type" in err
+    assert "has bounds for the law 'paper' alone" in err
