@@ -1,1 +1,1 @@
-"""The units of systemd and what belongs to them, as `twostage-servo install-service` places them."""
+"""The systemd units and their companion files, as `twostage-servo install-service` installs them."""
