@@ -95,8 +95,9 @@ class EncoderChange:
     """
 
     __slots__ = (
-        "_forgetting", "_in_part", "_jump", "_jump_share", "_least_ticks", "_missing_friction", "_nominal_step",
-        "_observer", "_step", "_truth", "accepted_sum", "factor", "own_sum", "ticks",
+        "_disturbance", "_forgetting", "_has_set_out", "_in_part", "_jump_share", "_least_ticks", "_missing_friction",
+        "_nominal_step", "_observer", "_position", "_step", "_truth", "_velocity", "accepted_sum", "factor", "own_sum",
+        "ticks",
     )  # fmt: skip
 
     def __init__(self, factor: float, deviation: Deviation, model: Plant, period_s: float, noise: NoiseModel) -> None:
@@ -119,23 +120,33 @@ class EncoderChange:
 
     def begin(self, origin: DisturbanceObserver) -> None:
         """Suppose that the change comes with the next sample; the plant and its load go on as `origin` has them."""
-        observer, velocity = self._observer, origin.velocity
-        observer.continue_from(origin)
-        self._truth.continue_from(origin)
-        self._jump = self._nominal_step * velocity
-        observer.position -= self._step * velocity
-        observer.velocity = self.factor * velocity
+        self._position, self._velocity, self._disturbance = origin.position, origin.velocity, origin.disturbance
         self.own_sum = self.accepted_sum = 0.0
         self.ticks = 0
-        self._in_part = False
+        self._in_part = self._has_set_out = False
+
+    def _set_out(self) -> None:
+        """Let the observers go on from where the change begins.
+
+        While it begins anew with each sample, which is nearly always, they would do so for nothing.
+        """
+        observer, truth, velocity = self._observer, self._truth, self._velocity
+        observer.position = self._position - self._step * velocity
+        observer.velocity = self.factor * velocity
+        truth.position, truth.velocity = self._position, velocity
+        observer.disturbance = truth.disturbance = self._disturbance
+        self._has_set_out = True
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
+        self._position += distance
         self._observer.position += distance
         self._truth.position += distance
 
     def predict(self, effort: float) -> None:
         """Account for a period without a sample, in which an effort (effort unit) acted."""
+        if not self._has_set_out:
+            self._set_out()
         self._observer.predict(effort)
         self._truth.predict(effort)
 
@@ -163,6 +174,15 @@ class EncoderChange:
         opening_square
             What that has to be for a first sample to show a part of a change.
         """
+        if not self._has_set_out:
+            velocity = self._velocity
+            expected = self._position - self._step * velocity
+            innovation = sample + self.factor * velocity * lag_s - expected
+            may_open = self.factor and least_square > opening_square
+            if least_square <= innovation * innovation and not may_open:
+                self._position, self._velocity, self._disturbance = origin.position, origin.velocity, origin.disturbance
+                return
+            self._set_out()
         observer = self._observer
         dated = sample + observer.velocity * lag_s
         if self.factor and not self.ticks and least_square > opening_square:
@@ -182,7 +202,8 @@ class EncoderChange:
         """
         observer = self._observer
         distance = sample - observer.position
-        if min(0.0, self._jump) < distance < max(0.0, self._jump):
+        jump = self._nominal_step * self._velocity
+        if min(0.0, jump) < distance < max(0.0, jump):
             observer.position = sample
             self._in_part = True
 
@@ -200,7 +221,7 @@ class EncoderChange:
         """
         return (
             self.ticks - PART_TICKS * self._in_part >= self._least_ticks
-            and abs(self._jump) > self._jump_share * least
+            and abs(self._nominal_step * self._velocity) > self._jump_share * least
             and self.explains(least, window_sum, noise_square)
         )
 
@@ -230,5 +251,7 @@ class EncoderChange:
 
     def reckon(self) -> Reckoning:
         """Return the speed and what disturbs the *model* at it: a load, and the friction that it does not have."""
+        if not self._has_set_out:
+            self._set_out()
         truth = self._truth
         return Reckoning(truth.velocity, truth.disturbance + self._missing_friction * truth.velocity)
