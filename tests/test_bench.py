@@ -321,7 +321,7 @@ def test_clients_beside_which_the_axis_trips_have_no_lateness(monkeypatch: pytes
         def ask(self, **request: str) -> dict[str, Any]:
             fields = ["tick", "missed", "lateness_us"]
             return {
-                "status": {"ticks": {"count": 5, "missed": 0}, "trip": {"code": "jam", "cause": "it stands still"}},
+                "status": {"ticks": {"count": 5, "missed": 0}, "trip": {"code": "stall", "cause": "it stands still"}},
                 "recording": {"fields": fields, "records": [[5, 0, 0.1]]},  # none since
             }[request["op"]]
 
@@ -342,7 +342,7 @@ def test_clients_beside_which_the_axis_trips_have_no_lateness(monkeypatch: pytes
     figures, shares, missing = clients.measure(Machine(), plan, lambda _: None)  # type: ignore[arg-type]
     assert not figures
     assert not shares
-    assert missing == {"none": "the axis has tripped: jam, it stands still"}
+    assert missing == {"none": "the axis has tripped: stall, it stands still"}
 
 
 @pytest.mark.parametrize("measured", [lateness, frame_jitter])

@@ -347,17 +347,17 @@ def test_another_scale_is_held_to_a_bound_where_it_shows(
     assert (soak.watch.look(far, then, 0.0) is not None) is told
 
 
-def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_jam_effort_on(
+def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_stall_effort_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     soak = armed(soak_of(linear(), monkeypatch))
-    jam, effort = soak.axis.settings.limits.jam_effort, soak.axis.effort
+    stall, effort = soak.axis.settings.limits.stall_effort, soak.axis.effort
     far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.0)
     soak.watch.begin(0.0, 0.0, 0.0)
-    soak.watch.look(0.0, 0.0, effort + 1.1 * jam)
+    soak.watch.look(0.0, 0.0, effort + 1.1 * stall)
     soak.watch.move_asked(0.0, 100.0, at_rest=True)
-    assert soak.watch.look(far, 1.0, effort + 0.9 * jam) is None
-    assert soak.watch.look(2.0 * far, 1.0, effort + 1.1 * jam) is not None
+    assert soak.watch.look(far, 1.0, effort + 0.9 * stall) is None
+    assert soak.watch.look(2.0 * far, 1.0, effort + 1.1 * stall) is not None
 
 
 def test_a_late_sample_of_a_fast_axis_hides_another_scale() -> None:

@@ -132,7 +132,7 @@ def test_a_place_is_not_set_on_an_axis_that_is_not_seen() -> None:
 def test_what_the_state_does_not_admit_is_refused_with_its_reason(
     state: State, tripped: bool, refused: str | None
 ) -> None:
-    trip = Trip(TripCode.JAM, "it stands still.", 7) if tripped else None
+    trip = Trip(TripCode.STALL, "it stands still.", 7) if tripped else None
     assert code(lambda: HERE.check_state(state, Event.HOME, trip)) == refused
 
 

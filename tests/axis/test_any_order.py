@@ -1,4 +1,4 @@
-"""Requests, faults, loads and stalls in any order: what must hold for an axis whatever happens to it."""
+"""Requests, faults, loads and a suspended host in any order: what must hold for an axis whatever happens to it."""
 
 import contextlib
 import math
@@ -209,7 +209,7 @@ class AnyOrder(RuleBasedStateMachine):
 
     @precondition(lambda self: self.rig.commands)
     @rule(missed=st.integers(1, 12))
-    def stall(self, missed: int) -> None:
+    def suspend_host(self, missed: int) -> None:
         self.rig.tick(missed)
 
     # What holds all the time

@@ -236,21 +236,21 @@ def test_an_encoder_turned_round_is_stopped_within_a_millimetre() -> None:
 
 
 def test_a_load_that_the_effort_cannot_hold_trips_on_saturation() -> None:
-    rig = rig_with(following_error_minimum=1e6, innovation=1e3)
+    rig = rig_with(following_error_minimum=1e6, innovation_gate=1e3)
     rig.cruising()
     rig.load = 16.5
     rig.seconds(4.0)
     assert trip_of(rig) is TripCode.SPEED_UNREACHABLE
     assert "500 ms" in cause_of(rig)
     rig.seconds(1.0)
-    rig = rig_with(following_error_minimum=1e6, innovation=1e3).armed()
+    rig = rig_with(following_error_minimum=1e6, innovation_gate=1e3).armed()
     rig.load = 26.0
     rig.seconds(4.0)
     assert trip_of(rig) is TripCode.EFFORT_SATURATED
 
 
 def test_overspeed_disables_at_once() -> None:
-    rig = rig_with(following_error_minimum=1e6, innovation=1e3)
+    rig = rig_with(following_error_minimum=1e6, innovation_gate=1e3)
     rig.cruising(2000.0, 250.0)
     rig.load = -20.0
     rig.seconds(1.0)
@@ -261,7 +261,7 @@ def test_overspeed_disables_at_once() -> None:
 
 
 def test_leaving_the_position_limits_trips() -> None:
-    rig = rig_with(following_error_minimum=1e6, effort_saturation_ms=60_000.0, innovation=1e3)
+    rig = rig_with(following_error_minimum=1e6, effort_saturation_ms=60_000.0, innovation_gate=1e3)
     rig.armed()
     rig.axis.move_to(2500.0, 250.0)
     rig.seconds(14.0)
@@ -401,15 +401,15 @@ def test_whatever_happens_the_effort_stays_in_its_limits(requests: list[tuple[ob
 
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 def test_limits_hold_in_both_directions(direction: float) -> None:
-    fast = rig_with(following_error_minimum=1e6, innovation=1e3).cruising(direction * 2000.0, 250.0)
+    fast = rig_with(following_error_minimum=1e6, innovation_gate=1e3).cruising(direction * 2000.0, 250.0)
     fast.load = direction * -20.0
     fast.seconds(1.0)
     assert trip_of(fast) is TripCode.OVERSPEED
-    held = rig_with(innovation=1e3).cruising(direction * 400.0)
+    held = rig_with(innovation_gate=1e3).cruising(direction * 400.0)
     held.load = direction * 20.0
     held.seconds(1.0)
     assert trip_of(held) is TripCode.FOLLOWING_ERROR
-    pushed = rig_with(following_error_minimum=1e6, effort_saturation_ms=60_000.0, innovation=1e3).armed()
+    pushed = rig_with(following_error_minimum=1e6, effort_saturation_ms=60_000.0, innovation_gate=1e3).armed()
     pushed.axis.move_to(direction * 2500.0, 250.0)
     pushed.seconds(14.0)
     pushed.load = direction * -26.0

@@ -16,8 +16,8 @@ READY = interpret("Ready to switch on")
 ENABLED = interpret("Operation enabled")
 
 
-def axis_of(*, tells_enabled: bool = True, resolution: float = 0.001, innovation: float = 0.5) -> Axis:
-    design = design_axis(axis_settings(innovation=innovation), PERIOD_S)
+def axis_of(*, tells_enabled: bool = True, resolution: float = 0.001, innovation_gate: float = 0.5) -> Axis:
+    design = design_axis(axis_settings(innovation_gate=innovation_gate), PERIOD_S)
     return Axis(design, DriveTraits(counter_modulus=16, position_quantum=resolution, tells_enabled=tells_enabled))
 
 
@@ -146,7 +146,7 @@ def test_a_step_of_a_coarse_encoder_is_no_motion(resolution: float, *, told: boo
 
 def test_an_axis_on_a_coarse_encoder_coasts_by_its_speed_and_not_by_the_last_two_samples() -> None:
     """They show the same step of 1 mm; at 40 mm/s it may go 4 mm more, which is more than a sample may be off."""
-    rig = AxisRig(axis_of(resolution=1.0, innovation=1.2))
+    rig = AxisRig(axis_of(resolution=1.0, innovation_gate=1.2))
     rig.sees = lambda position: float(math.floor(position))
     rig.seconds(0.1)
     rig.axis.take_heartbeat(7)

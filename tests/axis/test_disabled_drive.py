@@ -208,8 +208,8 @@ def ask(axis: Axis, what: str) -> None:
     match what:
         case "foreign":
             axis.take_foreign_command("0x201")
-        case "jam":
-            axis.raise_trip(TripCode.JAM, "test")
+        case "stall":
+            axis.raise_trip(TripCode.STALL, "test")
         case "move":
             axis.move_to(300.0, 100.0)
         case "arm" | "disarm" | "reset" | "stop":
@@ -219,7 +219,7 @@ def ask(axis: Axis, what: str) -> None:
 @given(
     st.lists(
         st.tuples(
-            st.sampled_from(["arm", "disarm", "reset", "foreign", "jam", "move", "stop", "wait"]), st.integers(1, 90)
+            st.sampled_from(["arm", "disarm", "reset", "foreign", "stall", "move", "stop", "wait"]), st.integers(1, 90)
         ),
         max_size=12,
     )

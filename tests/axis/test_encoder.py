@@ -221,7 +221,7 @@ def test_a_fault_is_heard_from_a_drive_that_has_lost_its_encoder() -> None:
 # Standing still ------------------------------------------------------------------------------------------------------
 
 
-CRAWLS = pytest.mark.xfail(strict=True, reason="the slower the move, the longer the effort takes to show a jam")
+CRAWLS = pytest.mark.xfail(strict=True, reason="the slower the move, the longer the effort takes to show a stall")
 
 
 @pytest.mark.parametrize(
@@ -233,7 +233,7 @@ def test_an_encoder_that_freezes_in_mid_move_is_noticed_within_20_mm(velocity: f
     frozen, at = rig.sample, rig.position
     rig.sees = lambda _: frozen
     rig.seconds(8.0)
-    assert trip_of(rig) in {TripCode.JAM, TripCode.POSITION_JUMP}
+    assert trip_of(rig) in {TripCode.STALL, TripCode.POSITION_JUMP}
     assert rig.state() is State.TRIPPED
     assert abs(rig.position - at) < 20.0
 
@@ -241,7 +241,7 @@ def test_an_encoder_that_freezes_in_mid_move_is_noticed_within_20_mm(velocity: f
 @pytest.mark.parametrize("velocity", [2.0, 5.0, 10.0, 20.0, 40.0, 100.0])
 @pytest.mark.parametrize("noise", [0.0, 0.005])
 def test_an_encoder_that_turns_round_in_a_cruise_is_noticed_within_5_mm(velocity: float, noise: float) -> None:
-    """Ten times the innovation limit; a quick stop by an estimate that counts the wrong way would run on."""
+    """Ten times the innovation gate; a quick stop by an estimate that counts the wrong way would run on."""
     random = Random(1)  # noqa: S311 - noise
     rig = rig_of()
     rig.sees = lambda position: position + random.gauss(0.0, noise)
@@ -258,7 +258,7 @@ def test_an_encoder_that_turns_round_in_a_cruise_is_noticed_within_5_mm(velocity
 
 
 @pytest.mark.parametrize("asked", ["once", "in each tick", "by jogging"])
-def test_an_axis_held_fast_is_jammed_though_its_encoder_trembles(asked: str) -> None:
+def test_an_axis_held_fast_is_stalled_though_its_encoder_trembles(asked: str) -> None:
     """By 4 of its steps, as on an elastic coupling: hardly any motion, much effort; the force has to stay small, also
     where a client sends another set-point, or another speed, in each tick.
     """
@@ -272,7 +272,7 @@ def test_an_axis_held_fast_is_jammed_though_its_encoder_trembles(asked: str) -> 
         elif rig.axis.trip is None and (asked == "in each tick" or tick == 0):
             rig.axis.move_to(400.0 + 0.01 * tick, 100.0)
         rig.tick()
-    assert trip_of(rig) is TripCode.JAM
+    assert trip_of(rig) is TripCode.STALL
     assert max(abs(command.effort) for command in rig.commands) < 12.0
 
 

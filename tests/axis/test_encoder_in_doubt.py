@@ -30,7 +30,7 @@ IN_DOUBT = {code for code in TripCode if RULES[code].unreferenced}
 
 
 def rig_of(innovation: float = 0.5, pole: float = 14.0) -> AxisRig:
-    settings = axis_settings(innovation=innovation)
+    settings = axis_settings(innovation_gate=innovation)
     settings = settings.model_copy(update={"plant": settings.plant.model_copy(update={"pole": pole})})
     axis = Axis(design_axis(settings, PERIOD_S), TRAITS)
     return AxisRig(axis, Plant(180.0, pole))
@@ -115,7 +115,9 @@ def test_a_jog_is_watched_as_a_move_is(counts: float) -> None:
     ("method", "counts"), [("index", -1.0), ("index", 2.0), ("hard_stop", -1.0), ("hard_stop", 2.0)]
 )
 def test_a_search_is_watched_as_well(method: str, counts: float) -> None:
-    settings = axis_settings(homing={"method": method, "direction": "positive", "slow_velocity": 40.0}, innovation=5.0)
+    settings = axis_settings(
+        homing={"method": method, "direction": "positive", "slow_velocity": 40.0}, innovation_gate=5.0
+    )
     rig = AxisRig(Axis(design_axis(settings, PERIOD_S), TRAITS)).armed()
     bring_into(rig, "homing", 40.0)
     assert rig.state() is State.HOMING
@@ -141,7 +143,7 @@ def test_an_axis_with_little_friction_is_braked_and_does_not_coast(pole: float, 
 # The reaction ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_jam_that_gives_way_is_not_pushed_back() -> None:
+def test_a_stall_that_gives_way_is_not_pushed_back() -> None:
     """Braked like a frozen encoder's axis, until the encoder shows that it lives."""
     rig = AxisRig().cruising(1000.0, 100.0)
     free, rig.plant = rig.plant, Plant(1e-9, 1e6)  # it runs against something
@@ -205,7 +207,7 @@ def test_no_set_point_is_taken_after_it_until_the_axis_has_been_homed(code: Trip
 
 def test_what_is_computed_is_what_an_axis_does() -> None:
     """Against the rig's own plant and axis: the same travel until the trip, to within the tick in which it shows."""
-    design = design_axis(axis_settings(innovation=5.0), PERIOD_S)
+    design = design_axis(axis_settings(innovation_gate=5.0), PERIOD_S)
     for one in detections(design):
         if one.phase == "cruising":
             rig = AxisRig(Axis(design, DriveTraits(counter_modulus=16))).armed()
@@ -223,7 +225,7 @@ def test_what_is_computed_is_what_an_axis_does() -> None:
 @pytest.mark.parametrize("change_of", list(CHANGES))
 def test_what_is_computed_for_a_stop_is_what_an_axis_does(change_of: str, velocity: float) -> None:
     """20 ms after it began: the way to the trip, or to rest where nothing is noticed."""
-    design = design_axis(axis_settings(innovation=5.0), PERIOD_S)
+    design = design_axis(axis_settings(innovation_gate=5.0), PERIOD_S)
     (one,) = [
         one for one in detections(design) if (one.change, one.phase, one.velocity) == (change_of, "stopping", velocity)
     ]
@@ -257,7 +259,7 @@ def test_each_change_is_looked_at_in_a_cruise_and_in_a_stop_at_both_speeds_that_
 
 def test_the_travel_begins_at_the_change() -> None:
     """At 0.5 mm/s, and without noise, it is less than a hundredth of a mm."""
-    limits = DEMO["limits"] | {"velocity": 0.5, "overspeed": 1.0, "innovation": 0.001, "innovation_time_ms": 0.0}
+    limits = DEMO["limits"] | {"velocity": 0.5, "overspeed": 1.0, "innovation_gate": 0.001, "innovation_time_ms": 0.0}
     slow = {"cruise_velocity": 0.5, "limits": limits, "observer": {"measurement_variance": 1e-8}}
     homing = {"velocity": 0.5, "slow_velocity": 0.5}
     settings = AxisSettings.model_validate(DEMO | slow | {"homing": homing})
@@ -301,7 +303,7 @@ def test_the_shipped_axes_are_certain_soon_enough(name: str) -> None:
 def test_the_noise_hides_it_and_the_gate_does_not() -> None:
     travels = {}
     for innovation, variance in itertools.product((0.5, 10.0), (1e-4, 1e-2, 1.0)):
-        settings = axis_settings(innovation=innovation)
+        settings = axis_settings(innovation_gate=innovation)
         observer = settings.observer.model_copy(update={"measurement_variance": variance})
         settings = settings.model_copy(update={"observer": observer})
         travels[innovation, variance] = slowest_certain_velocity(design_axis(settings, PERIOD_S))
@@ -309,7 +311,7 @@ def test_the_noise_hides_it_and_the_gate_does_not() -> None:
 
 
 def noisy(**limits: Any) -> AxisSettings:
-    settings = axis_settings(innovation=50.0, following_error_minimum=500.0, **limits)
+    settings = axis_settings(innovation_gate=50.0, following_error_minimum=500.0, **limits)
     return settings.model_copy(update={"observer": settings.observer.model_copy(update={"measurement_variance": 25.0})})
 
 
@@ -336,6 +338,8 @@ def test_what_is_just_allowed_is_so_in_any_unit() -> None:
 
 def test_where_it_could_lie_for_ever_no_distance_can_be_stated() -> None:
     design = design_axis(noisy(undetected_travel=1e6), PERIOD_S)
-    with pytest.raises(DesignError, match=r"after any distance.* 5 mm .*innovation below the 1\.25 that") as caught:
+    with pytest.raises(
+        DesignError, match=r"after any distance.* 5 mm .*innovation_gate below the 1\.25 that"
+    ) as caught:
         check_detection(design)
     assert caught.value.key == ("axis", "limits", "position_overrun")

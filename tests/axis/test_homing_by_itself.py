@@ -27,7 +27,7 @@ class Bench:
         motion: Any = SimpleNamespace(
             law=self.law,
             doubts_sample=False,
-            innovation_limit=0.5,
+            innovation_gate=0.5,
             set_target=lambda target, velocity: self.asked.append((target, velocity)),
             stop=self.asked.append,
         )

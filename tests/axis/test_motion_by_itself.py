@@ -12,7 +12,7 @@ from twostage_servo.axis.motion import Motion
 from twostage_servo.control.laws.law import Stage
 
 DESIGN = design_axis(axis_settings(), PERIOD_S)
-"""An innovation of 0.5 mm and 3 ms of speed is believed; a jam takes 5 ticks."""
+"""An innovation of 0.5 mm and 3 ms of speed is believed; a stall takes 5 ticks."""
 
 
 class Bench:
@@ -130,10 +130,10 @@ def test_while_tracking_as_much_is_believed_as_an_innovation_may_be() -> None:
 
 def test_the_limit_grows_by_3_ms_of_the_speed() -> None:
     bench = Bench()
-    assert bench.motion.innovation_limit == 0.5
+    assert bench.motion.innovation_gate == 0.5
     for velocity in (100.0, -100.0):
         bench.observer.velocity = velocity
-        assert bench.motion.innovation_limit == pytest.approx(0.8)
+        assert bench.motion.innovation_gate == pytest.approx(0.8)
 
 
 @pytest.mark.parametrize("reason", ["stale", "blind", "told"])
@@ -286,7 +286,7 @@ def test_law_and_nominal_are_told_the_same() -> None:
 
 
 def test_the_way_of_late_is_that_of_the_last_six_samples() -> None:
-    """What lies within a jam time of 50 ms; a shift of the origin begins anew."""
+    """What lies within a stall time of 50 ms; a shift of the origin begins anew."""
     bench = Bench(0.0).holding()
     samples = [0.0, 0.03, -0.02, 0.01, 0.0]
     for sample in samples:
@@ -360,7 +360,7 @@ def test_what_may_be_held_bears_no_more_than_it_does_already() -> None:
     bench.step(10.0)
     bench.step(10.0)  # the encoder shows the same again
     bench.motion.distrust()
-    for effort, limit in ((-7.0, 7.0), (1.0, 2.5)):  # the effort of that moment, or the jam effort
+    for effort, limit in ((-7.0, 7.0), (1.0, 2.5)):  # the effort of that moment, or the stall effort
         bench.motion.law.effort = effort
         bench.motion.stop(4000.0)
         assert bench.motion.law.effort_limit == limit

@@ -124,17 +124,17 @@ def test_a_frozen_encoder_at_low_speed_is_found_by_what_the_effort_does() -> Non
     rig = AxisRig().cruising(30.0, 10.0)
     at, place = rig.position, rig.sample
     rig.sees = lambda _: place
-    tripped(rig, TripCode.JAM)
+    tripped(rig, TripCode.STALL)
     # The effort rises by f22 times the missing speed a tick until it has changed by 2.5 V.
     ticks = 2.5 / (paper(rig.axis.design).servo_gains.f22 * 10.0)
     assert rig.position - at < (10.0 + 2.5 * 180.0 / 14.0) * ticks * PERIOD_S + 5.0
 
 
-def test_an_axis_that_cannot_move_is_jammed_and_the_effort_stays_small() -> None:
+def test_an_axis_that_cannot_move_is_stalled_and_the_effort_stays_small() -> None:
     rig = AxisRig().armed()
     rig.plant = Plant(1e-9, 1e3)
     rig.axis.move_to(400.0, 100.0)
-    tripped(rig, TripCode.JAM)
+    tripped(rig, TripCode.STALL)
     assert max(abs(command.effort) for command in rig.commands) < 6.0
 
 
@@ -287,7 +287,7 @@ def test_the_position_limits_brake_in_time(speed: float, direction: float, short
 
 def test_the_following_error_is_the_minimum_or_proportional_to_the_speed() -> None:
     def deviation_at_trip(velocity: float) -> float:
-        rig = rig_with(innovation=1e3, jam_effort=24.0)
+        rig = rig_with(innovation_gate=1e3, stall_effort=24.0)
         rig.cruising(2000.0, velocity, for_s=2.5)
         for _ in range(400):
             rig.load += 0.1
@@ -303,7 +303,7 @@ def test_the_following_error_is_the_minimum_or_proportional_to_the_speed() -> No
 
 def test_a_braking_that_does_not_work_is_given_up() -> None:
     """A drive that keeps its effort: the quick stop has no effect, so the drive is disabled."""
-    rig = rig_with(innovation=1e3, overspeed=1e6).cruising(2000.0, 100.0)
+    rig = rig_with(innovation_gate=1e3, overspeed=1e6).cruising(2000.0, 100.0)
     kept = rig.commands[-1].effort
     rig.axis.raise_trip(TripCode.FOLLOWING_ERROR, "test")
     for _ in range(300):
@@ -450,7 +450,7 @@ def test_asking_for_the_stop_again_and_again_does_not_keep_it_from_being_given_u
     """The service disarms on every tick while it ends, and somebody may hold a key down that stops; a drive that keeps
     its effort is disabled all the same.
     """
-    rig = rig_with(innovation=1e3, overspeed=1e6).cruising(2000.0, 100.0)
+    rig = rig_with(innovation_gate=1e3, overspeed=1e6).cruising(2000.0, 100.0)
     kept = rig.commands[-1].effort
     for _ in range(300):
         rig.axis.disarm()
@@ -466,7 +466,7 @@ def test_asking_for_the_stop_again_and_again_does_not_keep_it_from_being_given_u
 
 def test_a_stop_after_a_trip_that_the_axis_does_not_follow_gives_way_to_a_quick_stop() -> None:
     """A drive that keeps its effort cannot be stopped: the sooner that is known, the sooner it is disabled."""
-    rig = rig_with(innovation=1e3, overspeed=1e6, acceleration=50.0).cruising(2000.0, 100.0, for_s=4.0)
+    rig = rig_with(innovation_gate=1e3, overspeed=1e6, acceleration=50.0).cruising(2000.0, 100.0, for_s=4.0)
     kept = rig.commands[-1].effort
     rig.axis.raise_trip(TripCode.SPEED_UNREACHABLE, "test")
     states: list[State] = []
@@ -511,7 +511,7 @@ def test_an_effort_that_is_no_number_trips_in_its_tick_whatever_it_comes_from() 
     assert rig.axis.trip.code is TripCode.NOT_FINITE
 
 
-@pytest.mark.parametrize("first", [TripCode.JAM, TripCode.POSITION_LIMIT, None])
+@pytest.mark.parametrize("first", [TripCode.STALL, TripCode.POSITION_LIMIT, None])
 def test_a_reversed_sign_is_braked_by_the_model_whatever_has_tripped_in_the_same_tick(first: TripCode | None) -> None:
     """A quick stop by an estimate that counts the wrong way would push."""
     rig = AxisRig().cruising(2000.0, 30.0)

@@ -67,11 +67,11 @@ def test_a_jump_in_a_gap_is_still_one(rig_class: type[AxisRig]) -> None:
 
 def test_a_host_that_misses_every_other_tick_does_not_widen_the_gate_for_ever() -> None:
     rig = DatedRig(Axis(DEMO, TRAITS)).cruising(velocity=100.0, for_s=1.0)
-    usual = rig.axis.motion.innovation_limit
+    usual = rig.axis.motion.innovation_gate
     widest = 0.0
     for _ in range(50):
         rig.tick(1)
-        widest = max(widest, rig.axis.motion.innovation_limit)
+        widest = max(widest, rig.axis.motion.innovation_gate)
     assert rig.axis.state is State.SPEED_STAGE
     assert widest < 1.5 * usual
 

@@ -43,10 +43,10 @@ NUMBERS: dict[type[Settings], str] = {
         effort_saturation_ms                 > 0      <= 60000
         following_error_minimum              > 0      <= 1e9
         following_error_time_s               >= 0     <= 60
-        innovation                           > 0      <= 1e9
+        innovation_gate                      > 0      <= 1e9
         innovation_time_ms                   >= 0     <= 100
-        jam_effort                           > 0      <= 1e9
-        jam_time_ms                          > 0      <= 60000
+        stall_effort                         > 0      <= 1e9
+        stall_time_ms                          > 0      <= 60000
         stale_feedback_ms                    > 0      <= 10000
         feedback_errors                      >= 1     <= 100
         heartbeat_ms                         > 0      <= 60000
@@ -134,8 +134,8 @@ def refused(changes: dict[str, Any]) -> str:
         ({"limits": {"overspeed": 250.1}}, ""),
         ({"limits": {"overspeed": 250.0}}, "overspeed"),
         ({"limits": {"overspeed": 249.9}}, "overspeed"),
-        ({"limits": {"jam_effort": 24.0}}, ""),
-        ({"limits": {"jam_effort": 24.1}}, "jam_effort"),
+        ({"limits": {"stall_effort": 24.0}}, ""),
+        ({"limits": {"stall_effort": 24.1}}, "stall_effort"),
         ({"cruise_velocity": 250.0}, ""),
         ({"cruise_velocity": 250.1}, "cruise_velocity"),
         ({"homing": {"velocity": 250.0, "slow_velocity": 250.0}}, ""),

@@ -180,7 +180,7 @@ def test_an_axis_can_stop_just_where_a_stop_is_not_refused() -> None:
     assert rig.axis.can_stop
     rig.axis.stop(quick=False)
     assert rig.axis.can_stop  # harder
-    rig.axis.raise_trip(TripCode.JAM, "for the test")
+    rig.axis.raise_trip(TripCode.STALL, "for the test")
     rig.seconds(1.0)
     assert rig.state() is State.TRIPPED
     assert not rig.axis.can_stop

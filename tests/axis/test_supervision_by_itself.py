@@ -14,7 +14,7 @@ from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.law import Stage
 
 DESIGN = design_axis(axis_settings(position_minimum=-100.0, position_maximum=250.0), PERIOD_S)
-"""Overspeed 320 mm/s, overrun 20 mm, rest 2.5 mm/s, window 0.05 mm for 10 ticks, jam 2.5 V for 5 ticks, 24 V for 50."""
+"""Overspeed 320 mm/s, overrun 20 mm, rest 2.5 mm/s, window 0.05 mm for 10 ticks, stall 2.5 V for 5, 24 V for 50."""
 
 
 def motion(**changes: Any) -> Any:
@@ -34,7 +34,7 @@ def motion(**changes: Any) -> Any:
         blind=False,
         implausible=0,
         implausible_distance=0.0,
-        innovation_limit=0.5,
+        innovation_gate=0.5,
         recent_way=math.inf,
         unchanged_effort=0.0,
         following_error=0.0,
@@ -140,7 +140,7 @@ def test_an_axis_that_brakes_or_looks_for_a_hard_stop_is_held_to_less() -> None:
     assert codes(broken)[0] is TripCode.SIGN_REVERSED
     broken.model_monitor.better_factor = 0.0  # what a hard stop does
     assert codes(broken, State.HOMING, method="hard_stop") == []
-    assert codes(broken, State.STOPPING) == [TripCode.JAM]
+    assert codes(broken, State.STOPPING) == [TripCode.STALL]
     broken.model_monitor.better_factor = 2.0  # which no hard stop does
     assert codes(broken, State.HOMING, method="hard_stop") == [TripCode.MODEL_MISMATCH]
 
@@ -160,7 +160,7 @@ def test_the_cause_names_what_is_wrong() -> None:
             cause for _, cause in Supervision(DESIGN, motion(**changes)).violations(State.HOLDING, referenced=False)
         ]
         assert any(words in cause for cause in causes)
-    for stage, words in ((Stage.SPEED, "70 mm/s can't be reached"), (Stage.POSITION, "a load, or a jam")):
+    for stage, words in ((Stage.SPEED, "70 mm/s can't be reached"), (Stage.POSITION, "a load, or an obstacle")):
         saturated = Supervision(DESIGN, motion(law__saturated=True, law__stage=stage, law__cruise_velocity=70.0))
         causes = [cause for _ in range(50) for _, cause in saturated.violations(State.JOGGING, referenced=True)]
         assert [cause.endswith(words) for cause in causes] == [True]
@@ -222,58 +222,58 @@ def test_an_effort_at_its_limit_trips_after_500_ms_in_a_row(stage: Stage, code: 
         (2.49, 0.125, 2.6, 0), (2.5, 0.126, 2.6, 0), (2.5, 0.125, 2.5, 0),
     ],
 )  # fmt: skip
-def test_a_jam_is_an_effort_of_2_5_v_for_50_ms_with_no_more_way_than_at_rest(
+def test_a_stall_is_an_effort_of_2_5_v_for_50_ms_with_no_more_way_than_at_rest(
     effort: float, way: float, designed: float, tick: int
 ) -> None:
     """2.5 mm/s for 50 ms are 0.125 mm."""
     there = motion(recent_way=way, nominal__observer__velocity=designed)
     supervision = Supervision(DESIGN, there)
     there.law.effort = effort
-    assert first_tick(supervision, TripCode.JAM) == tick
+    assert first_tick(supervision, TripCode.STALL) == tick
     supervision.start()  # the load that it holds from now on does not count
-    assert first_tick(supervision, TripCode.JAM) == 0
+    assert first_tick(supervision, TripCode.STALL) == 0
 
 
-def test_a_jam_is_counted_in_a_row_and_from_the_effort_before_the_move() -> None:
+def test_a_stall_is_counted_in_a_row_and_from_the_effort_before_the_move() -> None:
     there = motion(recent_way=0.0, nominal__observer__velocity=10.0, law__effort=7.0)
     supervision = Supervision(DESIGN, there)
     there.law.effort = 4.5
-    assert first_tick(supervision, TripCode.JAM, longest=4) == 0
+    assert first_tick(supervision, TripCode.STALL, longest=4) == 0
     there.law.effort = 7.0
-    assert first_tick(supervision, TripCode.JAM, longest=1) == 0
+    assert first_tick(supervision, TripCode.STALL, longest=1) == 0
     there.law.effort = 4.5
-    assert first_tick(supervision, TripCode.JAM, longest=4) == 0
+    assert first_tick(supervision, TripCode.STALL, longest=4) == 0
     supervision.begin_move()
     there.law.effort = 2.1
-    assert first_tick(supervision, TripCode.JAM) == 0
+    assert first_tick(supervision, TripCode.STALL) == 0
     there.law.effort = 2.0
-    assert first_tick(supervision, TripCode.JAM) == 5
+    assert first_tick(supervision, TripCode.STALL) == 5
 
 
-def test_an_encoder_that_shows_one_position_while_the_effort_changes_by_2_5_v_is_a_jam_after_50_ms() -> None:
+def test_an_encoder_that_shows_one_position_while_the_effort_changes_by_2_5_v_is_a_stall_after_50_ms() -> None:
     there = motion(unchanged_effort=2.49)
     supervision = Supervision(DESIGN, there)
-    assert first_tick(supervision, TripCode.JAM) == 0
+    assert first_tick(supervision, TripCode.STALL) == 0
     there.unchanged_effort = 2.5
-    assert first_tick(supervision, TripCode.JAM, longest=4) == 0
+    assert first_tick(supervision, TripCode.STALL, longest=4) == 0
     there.unchanged_effort = 0.0
-    assert first_tick(supervision, TripCode.JAM, longest=1) == 0
+    assert first_tick(supervision, TripCode.STALL, longest=1) == 0
     there.unchanged_effort = 2.5
-    assert first_tick(supervision, TripCode.JAM) == 5
+    assert first_tick(supervision, TripCode.STALL) == 5
     supervision.start()
-    assert first_tick(supervision, TripCode.JAM) == 5
+    assert first_tick(supervision, TripCode.STALL) == 5
 
 
-def test_half_the_jam_time_is_enough_where_only_a_standing_encoder_explains_the_samples() -> None:
+def test_half_the_stall_time_is_enough_where_only_a_standing_encoder_explains_the_samples() -> None:
     there = motion(unchanged_effort=2.5, model_monitor__seems_to_stand=True)
     supervision = Supervision(DESIGN, there)
-    assert first_tick(supervision, TripCode.JAM) == 3
+    assert first_tick(supervision, TripCode.STALL) == 3
     supervision.start()
-    assert first_tick(supervision, TripCode.JAM, longest=2) == 0
+    assert first_tick(supervision, TripCode.STALL, longest=2) == 0
     there.unchanged_effort = 2.49  # friction may hold it, and its effort may just have been enough before
-    assert first_tick(supervision, TripCode.JAM) == 0
+    assert first_tick(supervision, TripCode.STALL) == 0
     there.unchanged_effort = 2.5
-    assert first_tick(supervision, TripCode.JAM, State.STOPPING) == 0
+    assert first_tick(supervision, TripCode.STALL, State.STOPPING) == 0
 
 
 @pytest.mark.parametrize("velocity", [100.0, 0.0, -200.0])

@@ -128,7 +128,7 @@ def test_a_trip_is_kept_with_its_tick_and_a_later_one_beside_it_where_it_is_more
         (TripCode.POSITION_JUMP, True, False, False),
         (TripCode.SIGN_REVERSED, True, True, False),
         (TripCode.MODEL_MISMATCH, True, True, False),
-        (TripCode.JAM, True, True, False),
+        (TripCode.STALL, True, True, False),
         (TripCode.OVERSPEED, False, False, False),
         (TripCode.DRIVE_REBOOTED, False, False, False),
     ],

@@ -75,14 +75,14 @@ def test_nothing_is_said_of_the_demo() -> None:
     [
         ("missed_ticks", 8, 9),  # 20 mm are 80 ms at 250 mm/s
         ("stale_feedback_ms", 80.0, 80.1),
-        ("innovation", 20.0, 20.01),
+        ("innovation_gate", 20.0, 20.01),
         ("innovation_time_ms", 80.0, 80.1),
         ("position_overrun", 5000.0, 5000.1),
         ("undetected_travel", 5000.0, 5000.1),
         ("overspeed", 401.0, 401.2),  # 24 V make 308.57 mm/s, and 30 % more
         ("following_error_minimum", 2500.0, 2500.1),
         ("following_error_time_s", 10.0, 10.01),
-        ("jam_time_ms", 500.0, 500.1),  # effort_saturation_ms
+        ("stall_time_ms", 500.0, 500.1),  # effort_saturation_ms
         ("feedback_errors", 66, 67),  # stale after 30 ms: two of three are lost
         ("effort_saturation_ms", 20_000.0, 20_000.1),
         ("heartbeat_ms", 20_000.0, 20_000.1),
@@ -114,10 +114,10 @@ def test_an_overrun_of_more_than_the_travel_allows_no_more_than_that() -> None:
     assert told.do == "lower it to 4 at most"
 
 
-@pytest.mark.parametrize("name", ["innovation", "innovation_time_ms"])
+@pytest.mark.parametrize("name", ["innovation_gate", "innovation_time_ms"])
 def test_a_gate_is_told_with_how_far_it_is_open(name: str) -> None:
     (told,) = weak(limits={name: 90.0})
-    width = {"innovation": "90", "innovation_time_ms": "22.5"}[name]
+    width = {"innovation_gate": "90", "innovation_time_ms": "22.5"}[name]
     assert f"up to {width} mm are believed, more than the 20 mm in which" in told.disables
 
 
@@ -188,17 +188,17 @@ def test_an_approach_is_looked_at_where_there_is_one(direction: str) -> None:
     )
 
 
-# A jam, and frames ---------------------------------------------------------------------------------------------------
+# A stall, and frames --------------------------------------------------------------------------------------------------
 
 
-def test_a_jam_time_is_told_once_by_whatever_makes_it_useless() -> None:
-    (told,) = weak(limits={"jam_time_ms": 20_000.0})
-    assert told.disables.startswith("the trip for a jam: effort_saturation_ms is shorter")
-    (told,) = weak(limits={"jam_time_ms": 20_000.1})
+def test_a_stall_time_is_told_once_by_whatever_makes_it_useless() -> None:
+    (told,) = weak(limits={"stall_time_ms": 20_000.0})
+    assert told.disables.startswith("the trip for a stall: effort_saturation_ms is shorter")
+    (told,) = weak(limits={"stall_time_ms": 20_000.1})
     assert "crosses its whole travel" in told.disables
     long = {"effort_saturation_ms": 30_000.0}
-    assert of_limits(**long, jam_time_ms=20_000.0) == ["effort_saturation_ms"]
-    assert of_limits(**long, jam_time_ms=25_000.0) == ["effort_saturation_ms", "jam_time_ms"]
+    assert of_limits(**long, stall_time_ms=20_000.0) == ["effort_saturation_ms"]
+    assert of_limits(**long, stall_time_ms=25_000.0) == ["effort_saturation_ms", "stall_time_ms"]
 
 
 @pytest.mark.parametrize(

@@ -108,10 +108,10 @@ def test_the_trace_hash_depends_on_the_seed_and_on_nothing_else(capsys: pytest.C
 
 
 def test_a_trip_ends_with_exit_code_3_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
-    # Dry friction beyond axis.limits.jam_effort cannot be told from a jam.
+    # Dry friction beyond axis.limits.stall_effort cannot be told from a stall.
     result = demo(capsys, "--set", "simulation.coulomb_friction=5", exit_code=3)
-    assert result["trip"]["code"] == "jam"
-    assert "axis.limits.jam_effort is 2.5" in result["trip"]["cause"]
+    assert result["trip"]["code"] == "stall"
+    assert "axis.limits.stall_effort is 2.5" in result["trip"]["cause"]
     assert "reset" in result["trip"]["next_action"]
     assert result["settling_time_s"] is None
 
@@ -127,7 +127,7 @@ def test_a_silent_drive_ends_with_exit_code_3(capsys: pytest.CaptureFixture[str]
     assert result["changeover"] is None
 
 
-def test_dry_friction_below_the_jam_effort_is_worked_off(capsys: pytest.CaptureFixture[str]) -> None:
+def test_dry_friction_below_the_stall_effort_is_worked_off(capsys: pytest.CaptureFixture[str]) -> None:
     result = demo(capsys, "--set", "simulation.coulomb_friction=0.5")
     assert result["trip"] is None
     assert abs(result["final_error"]) < 0.1

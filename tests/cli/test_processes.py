@@ -34,7 +34,7 @@ PATIENT = {
     "missed_ticks": 300,
     "feedback_errors": 100,
     "following_error_minimum": 500.0,
-    "innovation": 500.0,
+    "innovation_gate": 500.0,
     "command_timeout_ms": 1000.0,
 }
 JOG_TIMEOUT = "axis.jog_timeout_ms=2000"

@@ -37,6 +37,20 @@ def test_a_former_name_means_the_same_and_is_noted_with_its_line(demo_with: Call
     ]
 
 
+@pytest.mark.parametrize(
+    ("former", "present"),
+    [("innovation", "innovation_gate"), ("jam_effort", "stall_effort"), ("jam_time_ms", "stall_time_ms")],
+)
+def test_a_limit_may_have_its_former_name(tmp_path: Path, former: str, present: str) -> None:
+    text = (CONFIGURATIONS / "demo.toml").read_text(encoding="utf-8")
+    path = tmp_path / "axis.toml"
+    path.write_text(text.replace(f"\n{present} = ", f"\n{former} = "), encoding="utf-8")
+    loaded = load(path)
+    assert loaded.config == load(CONFIGURATIONS / "demo.toml").config
+    (note,) = loaded.renamed
+    assert f"axis.limits.{former}: is now called axis.limits.{present};" in str(note)
+
+
 def test_present_names_are_not_noted(demo_with: Callable[[str], Path]) -> None:
     assert load(demo_with('\n[realtime]\nbusy_wait = "off"\n')).renamed == ()
 

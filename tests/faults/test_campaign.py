@@ -280,12 +280,12 @@ def test_a_bump_at_a_new_set_point_is_seen(monkeypatch: pytest.MonkeyPatch) -> N
     assert "at once" in run(44, Phase.CRUISING).wrong
 
 
-def test_a_jam_that_is_noticed_by_its_consequences_only_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    for watch in ("_jam", "_frozen"):
+def test_a_stall_that_is_noticed_by_its_consequences_only_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    for watch in ("_stall", "_frozen"):
         monkeypatch.setattr(Supervision, watch, lambda _: iter(()))
     cell = run(30, Phase.IDLE)
     assert cell.observed == cell.expected
-    assert "the jam was noticed after" in cell.wrong
+    assert "the stall was noticed after" in cell.wrong
 
 
 @pytest.mark.parametrize("phase", [Phase.IDLE, Phase.HOLDING])
@@ -379,10 +379,10 @@ def test_the_more_severe_trip_gives_the_letter(monkeypatch: pytest.MonkeyPatch) 
     assert (cell.met, cell.observed, cell.trip) == (False, "Q", "missed_ticks")
 
 
-def test_what_a_stall_has_to_come_to_follows_from_the_limits() -> None:
-    stall = next(fault for fault in TABLE if "50 ms" in fault.name and fault.number == 36)
+def test_the_reaction_to_a_suspended_host_follows_from_the_limits() -> None:
+    suspension = next(fault for fault in TABLE if "50 ms" in fault.name and fault.number == 36)
     letters = {
-        override: stall.expectation(Phase.CRUISING, load(None, [override]).config)
+        override: suspension.expectation(Phase.CRUISING, load(None, [override]).config)
         for override in (
             "axis.limits.missed_ticks=2",
             "axis.limits.missed_ticks=5",

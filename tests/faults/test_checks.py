@@ -29,7 +29,7 @@ def tripped_after(distance: float, tick_ms: float) -> World:
 @pytest.mark.parametrize(
     ("tick_ms", "distance", "in_time"),
     [
-        (10.0, 4.99, True),  # ten times the innovation limit of 0.5 mm
+        (10.0, 4.99, True),  # ten times the innovation gate of 0.5 mm
         (10.0, 5.01, False),
         (2.0, 5.01, False),
         (20.0, 5.99, True),  # three ticks of the cruise at 100 mm/s

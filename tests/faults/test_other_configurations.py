@@ -80,7 +80,7 @@ def in_metres() -> LoadedConfig[Config]:
     loaded = load(None)
     axis = loaded.config.axis
     lengths = {"position_minimum", "position_maximum", "position_overrun", "velocity", "overspeed", "acceleration"}
-    lengths |= {"quick_stop_deceleration", "following_error_minimum", "innovation"}
+    lengths |= {"quick_stop_deceleration", "following_error_minimum", "innovation_gate"}
     overrides = [f"axis.limits.{name}={1e-3 * getattr(axis.limits, name)!r}" for name in lengths]
     overrides += [
         'axis.unit="m"', "axis.cruise_velocity=0.1", "axis.plant.gain=0.18", "axis.window.position=0.00005",
@@ -132,10 +132,10 @@ def test_the_same_axis_in_metres_goes_the_same_way(number: int, phase: Phase) ->
             [
                 "axis.limits.stale_feedback_ms=150",
                 "simulation.feedback_period_ms=100",
-                "axis.limits.innovation=2",
+                "axis.limits.innovation_gate=2",
                 "axis.limits.undetected_travel=50",
                 "simulation.command_timeout_ms=500",
-                "axis.limits.jam_time_ms=250",
+                "axis.limits.stall_time_ms=250",
                 "axis.limits.missed_ticks=1",
             ],
         ),
@@ -263,7 +263,7 @@ def test_a_sign_that_turns_as_a_stop_begins_is_told_on_a_plant_off_its_model_beh
 ) -> None:
     """What plant it is, nothing has told by then; the axis ran away against its stop, by up to 160 mm."""
     gain, pole = plant
-    overrides = [f"simulation.gain={gain}", f"simulation.pole={pole}", "axis.limits.innovation=5"]
+    overrides = [f"simulation.gain={gain}", f"simulation.pole={pole}", "axis.limits.innovation_gate=5"]
     (cell,) = cells(Campaign(load(None, overrides), seed), 21, phase)
     assert cell.met, cell
     assert cell.trip in {"sign_reversed", "model_mismatch"}
@@ -277,7 +277,7 @@ def test_a_sign_that_turns_as_a_stop_begins_is_told_on_a_plant_off_its_model_beh
         ("example2", 3, 21, Phase.QUICK_STOPPING),
         ("example2", 3, 31, Phase.ACCELERATING),  # a load that helps, while the axis begins to move
         ("metres", 2, 28, Phase.ACCELERATING),  # a controlled stop that nothing follows
-        ("example1", 3, 36, Phase.IDLE),  # after a stall two noisy samples look like a speed
+        ("example1", 3, 36, Phase.IDLE),  # after a suspension two noisy samples look like a speed
     ],
 )
 def test_what_other_seeds_have_found_is_met(name: str, seed: int, number: int, phase: Phase) -> None:

@@ -127,7 +127,7 @@ def test_an_axis_is_not_armed_on_feedback_of_no_known_age(bus, opener) -> None: 
 
 
 @EVERY_BUS
-def test_what_a_stall_has_left_is_read_in_the_tick_after_it(bus, opener) -> None:  # type: ignore[no-untyped-def]
+def test_what_waits_after_a_suspension_is_read_in_the_next_tick(bus, opener) -> None:  # type: ignore[no-untyped-def]
     """A bus that is full all of the time brings three ticks' frames to the tick after two that were missed."""
 
     async def script(world: World) -> None:
@@ -146,7 +146,7 @@ def test_what_a_stall_has_left_is_read_in_the_tick_after_it(bus, opener) -> None
     simulate(script, bus=bus, opener=opener)
 
 
-def test_what_is_read_after_a_long_stall_is_bounded() -> None:
+def test_what_is_read_after_a_long_suspension_is_bounded() -> None:
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
         asked = []

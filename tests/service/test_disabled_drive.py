@@ -114,7 +114,7 @@ def sto_is_told(world: World) -> None:
 
 
 def quick(world: World) -> None:
-    world.axis.raise_trip(TripCode.JAM, "it does not move")
+    world.axis.raise_trip(TripCode.STALL, "it does not move")
 
 
 @pytest.mark.parametrize("trip", [foreign, sto_is_told, quick])
@@ -182,10 +182,10 @@ def test_a_drive_that_enables_itself_while_the_axis_is_disarmed_or_tripped_is_to
         await world.armed()
         quick(world)
         await world.seconds(10.0)
-        assert codes(world) == ["jam"]
+        assert codes(world) == ["stall"]
         change(world, stays_enabled=True)
         await world.seconds(1.0)
-        assert codes(world) == ["jam", "drive_not_disabled"]
+        assert codes(world) == ["stall", "drive_not_disabled"]
 
     simulate(script)
 
@@ -331,7 +331,7 @@ def test_the_other_axes_react(tmp_path: Path, policy: str) -> None:
             plant.ask(op="reset", axis="x")
             plant.ask(op="arm", axis="x")
             await plant.until(lambda: plant.axis("x").state is State.HOLDING)
-            plant.axis("x").raise_trip(TripCode.JAM, "it does not move")
+            plant.axis("x").raise_trip(TripCode.STALL, "it does not move")
             await plant.until(lambda: plant.axis("y").state is State.HOLDING)
             plant.ask(op="move", axis="y", position=2000.0, velocity=50.0)
             plant.drives["x"].change(now_s(), stays_enabled=True)
@@ -372,7 +372,7 @@ def test_an_axis_that_moves_while_its_drive_is_off_is_told_and_does_not_trip(ove
 
 MANNERS = {
     "demo": (),
-    "a wide gate": ("axis.limits.innovation=5",),
+    "a wide gate": ("axis.limits.innovation_gate=5",),
     "noise": ("simulation.noise_std=0.0316",),
     "free-running": ('protocol.feedback.sampling="cyclic"', 'simulation.feedback="cyclic"'),
     "off its model": ("simulation.pole=10.5", "simulation.gain=230"),
@@ -411,13 +411,13 @@ TICKS = {
     50.0: (
         "axis.law.performance_index_ratio=2e-3",
         "axis.limits.stale_feedback_ms=200",
-        "axis.limits.innovation=2",
+        "axis.limits.innovation_gate=2",
         "axis.limits.undetected_travel=50",
     ),
     100.0: (
         "axis.law.performance_index_ratio=2e-3",
         "axis.limits.stale_feedback_ms=400",
-        "axis.limits.innovation=4",
+        "axis.limits.innovation_gate=4",
         "axis.limits.undetected_travel=100",
     ),
 }

@@ -18,7 +18,7 @@ class Told:
     """A report with the axis that it looks at, and the lines of a tick."""
 
     def __init__(self, period_s: float = 0.01) -> None:
-        limits = SimpleNamespace(limits=SimpleNamespace(innovation=0.5), unit="mm")
+        limits = SimpleNamespace(limits=SimpleNamespace(innovation_gate=0.5), unit="mm")
         self.axis: Any = SimpleNamespace(lasting=(), trips={}, disabled=SimpleNamespace(moved=None), settings=limits)
         self.report = DisabledReport("x", period_s)
 

@@ -87,8 +87,8 @@ def test_on_what_positions_rest_is_told_whenever_it_changes() -> None:
 def test_a_first_trip_is_told_whole_and_once() -> None:
     told = Told()
     told.tick(0)
-    (trip,) = told.trips(TripCode.JAM)
-    first = line("trip", "error", 1, code=TripCode.JAM, cause="cause of jam", next_action=trip.next_action)
+    (trip,) = told.trips(TripCode.STALL)
+    first = line("trip", "error", 1, code=TripCode.STALL, cause="cause of stall", next_action=trip.next_action)
     assert told.tick(1) == [first]
     assert told.tick(2) == []
 
@@ -97,9 +97,9 @@ def test_later_trips_are_told_with_their_own_tick_and_anew_after_a_reset() -> No
     told = Told()
     told.tick(0)
     for _ in range(2):
-        told.trips(TripCode.JAM)
+        told.trips(TripCode.STALL)
         assert [one["event"] for one in told.tick(20)] == ["trip"]
-        _, overspeed, fault = told.trips(TripCode.JAM, TripCode.OVERSPEED, TripCode.DRIVE_FAULT)
+        _, overspeed, fault = told.trips(TripCode.STALL, TripCode.OVERSPEED, TripCode.DRIVE_FAULT)
         told.axis.trip = told.event_log._trip  # the same first one
         told.axis.escalation = fault
         assert told.tick(21) == [
@@ -114,7 +114,7 @@ def test_later_trips_are_told_with_their_own_tick_and_anew_after_a_reset() -> No
 def test_a_trip_with_others_in_its_tick_is_told_with_all_of_them() -> None:
     told = Told()
     told.tick(0)
-    told.trips(TripCode.JAM, TripCode.OVERSPEED)
+    told.trips(TripCode.STALL, TripCode.OVERSPEED)
     assert [one["event"] for one in told.tick(1)] == ["trip", "trip, as well"]
 
 

@@ -135,7 +135,7 @@ def test_a_drive_that_does_not_tell_whether_it_is_enabled_is_taken_at_what_it_wa
         await world.until(lambda: world.axis.ready_to_arm)
         if state == "tripped":
             await world.armed()
-            world.axis.raise_trip(TripCode.JAM, "it does not move")
+            world.axis.raise_trip(TripCode.STALL, "it does not move")
             await world.seconds(0.5)
         other = Other(world)
         await other.command(0.0, enable=False, for_s=0.05)

@@ -60,13 +60,13 @@ def fields(datagram: bytes) -> dict[str, str]:
 def test_axis_tick_and_code_are_fields_beside_message_and_priority(reader: socket.socket, stream: TextIO) -> None:
     writer = open_log("info", stream)
     log = structlog.get_logger().bind(axis="x")
-    log.error("trip", tick=7, code="jam", cause="effort 12 V\nand no motion")
+    log.error("trip", tick=7, code="stall", cause="effort 12 V\nand no motion")
     log.info("state", states={"y": "holding"}, message="m", priority="high")
     writer.close()
     entry = fields(reader.recv(65536))
     assert entry == {
-        "MESSAGE": 'x: trip tick=7 code=jam cause="effort 12 V\\nand no motion"', "PRIORITY": "3", "AXIS": "x",
-        "TICK": "7", "CODE": "jam", "CAUSE": "effort 12 V\nand no motion",
+        "MESSAGE": 'x: trip tick=7 code=stall cause="effort 12 V\\nand no motion"', "PRIORITY": "3", "AXIS": "x",
+        "TICK": "7", "CODE": "stall", "CAUSE": "effort 12 V\nand no motion",
     }  # fmt: skip
     entry = fields(reader.recv(65536))
     assert (entry["PRIORITY"], entry["STATES"]) == ("6", '{"y": "holding"}')

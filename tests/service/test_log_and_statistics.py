@@ -135,7 +135,7 @@ def test_a_flood_of_made_up_names_is_one_kind_and_hides_nobody_else() -> None:
             through += 1
     assert through == 100
     assert limit(None, "warning", {"event": "refused", "axis": "x", "op": "reset", "code": "busy"})
-    assert limit(None, "error", {"event": "trip", "axis": "x", "code": "jam"})
+    assert limit(None, "error", {"event": "trip", "axis": "x", "code": "stall"})
 
 
 def test_what_a_library_logs_is_one_kind_a_library() -> None:

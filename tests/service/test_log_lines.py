@@ -106,7 +106,7 @@ def test_a_recording_for_which_there_is_no_memory_is_told(
         if to_a_file:
             world.loop.trip_files.files = TripFiles(tmp_path)
         monkeypatch.setattr(type(world.axis_loop.recorder), "keep", none_left)
-        world.axis.raise_trip(TripCode.JAM, "test")
+        world.axis.raise_trip(TripCode.STALL, "test")
         await world.seconds(0.1)
         error = world.loop.snapshot()["trip"]["file_error"]
         assert error == (why if to_a_file else None)
@@ -116,7 +116,7 @@ def test_a_recording_for_which_there_is_no_memory_is_told(
         simulate(script)
     told = of(logs, "no recording of the trip: no memory is left", "no trip file")
     assert told == (
-        [{"event": "no trip file", "log_level": "error", "room": "trip_files", "trip": "x-jam", "error": why}]
+        [{"event": "no trip file", "log_level": "error", "room": "trip_files", "trip": "x-stall", "error": why}]
         if to_a_file
         else [{"event": "no recording of the trip: no memory is left", "log_level": "error", "axis": "x"}]
     )

@@ -258,17 +258,19 @@ def test_the_bus_is_looked_after_once_a_second(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.parametrize(
-    ("stall_s", "missed", "trips"),
+    ("suspended_s", "missed", "trips"),
     [(0.015, 0, False), (0.025, 1, False), (0.035, 2, False), (0.045, 3, True), (0.5, 49, True)],
 )
-def test_a_stall_is_skipped_counted_and_never_made_up_in_a_burst(stall_s: float, missed: int, trips: bool) -> None:
+def test_ticks_missed_by_a_suspended_host_are_skipped_and_counted_and_never_made_up_in_a_burst(
+    suspended_s: float, missed: int, trips: bool
+) -> None:
     async def script(world: World) -> None:
         await world.cruising()
-        world.ticks.hold_s = stall_s
+        world.ticks.hold_s = suspended_s
         before = world.service.statistics.count
         await world.seconds(1.0)
         assert world.service.statistics.missed == missed
-        assert abs(world.service.statistics.count - before - round((1.0 - stall_s) / 0.01)) <= 2
+        assert abs(world.service.statistics.count - before - round((1.0 - suspended_s) / 0.01)) <= 2
         assert (world.axis.trip is not None) == trips
         ticks = [tick for tick, direction, *_ in world.trace if direction == "sent"]
         assert len(ticks) == len(set(ticks))

@@ -47,13 +47,13 @@ def test_a_line_that_could_not_be_told_is_told_later() -> None:
 
         world.loop.listen(world.status_line(show).publish)
         await world.armed()
-        world.axis.raise_trip(TripCode.JAM, "nothing moves")
+        world.axis.raise_trip(TripCode.STALL, "nothing moves")
         await world.seconds(1.0)
         assert lines == []
         busy = False
         await world.seconds(1.0)
         (line,) = lines
-        assert line.startswith("x tripped (jam)")
+        assert line.startswith("x tripped (stall)")
 
     simulate(script)
 
@@ -61,10 +61,10 @@ def test_a_line_that_could_not_be_told_is_told_later() -> None:
 def test_a_trip_is_told_with_its_cause_and_what_to_do_next() -> None:
     async def script(world: World) -> None:
         await world.armed()
-        world.axis.raise_trip(TripCode.JAM, "effort 12 V\nand no motion.")
+        world.axis.raise_trip(TripCode.STALL, "effort 12 V\nand no motion.")
         await world.seconds(1.0)
         line = world.line()
-        assert line.startswith("x tripped (jam): effort 12 V and no motion. Find what holds the axis")
+        assert line.startswith("x tripped (stall): effort 12 V and no motion. Find what holds the axis")
         world.axis.reset()
         assert world.line() == "x disarmed"
 

@@ -46,7 +46,7 @@ class Kept:
         self.kept += 1
         return ["records"]
 
-    def trip(self, code: TripCode = TripCode.JAM) -> Trip:
+    def trip(self, code: TripCode = TripCode.STALL) -> Trip:
         trip = Trip(code, "cause", 10)
         self.axis.trip = trip
         return trip
@@ -70,7 +70,7 @@ def test_a_recording_is_written_once_with_what_the_axis_was_and_the_names_of_its
     kept.tick()
     kept.tick()
     document = {"snapshot": {"a snapshot of": "x"}, "fields": FIELDS}
-    assert files.written == [("x-jam", document, ["records"], trip.file)]
+    assert files.written == [("x-stall", document, ["records"], trip.file)]
     assert (files.failed, kept.kept) == ([], 1)
     kept.axis.trip = None
     kept.tick()
@@ -87,7 +87,7 @@ def test_for_want_of_memory_the_file_of_this_trip_has_failed() -> None:
     trip = kept.trip()
     assert kept.tick() == []
     ((name, error, file),) = files.failed
-    assert (name, type(error), file) == ("x-jam", MemoryError, trip.file)
+    assert (name, type(error), file) == ("x-stall", MemoryError, trip.file)
     assert files.written == []
 
 
@@ -128,7 +128,7 @@ def test_two_axes_that_trip_one_after_the_other_name_each_its_own_file(tmp_path:
     assert "Besides" not in lines[0]
 
 
-@pytest.mark.parametrize("trips", [(TripCode.JAM, TripCode.OVERSPEED)])
+@pytest.mark.parametrize("trips", [(TripCode.STALL, TripCode.OVERSPEED)])
 def test_a_trip_that_follows_another_is_of_the_same_file(trips: tuple[TripCode, ...], tmp_path: Path) -> None:
     async def script(plant: Plant) -> None:
         plant.loop.trip_files.files = TripFiles(tmp_path / "trips")
@@ -139,4 +139,4 @@ def test_a_trip_that_follows_another_is_of_the_same_file(trips: tuple[TripCode, 
 
     operate(machine_file(tmp_path, {"x": axis_page("x", "can0")}), script)
     (file,) = (tmp_path / "trips").iterdir()
-    assert file.name.endswith("-x-jam.json")
+    assert file.name.endswith("-x-stall.json")

@@ -149,7 +149,7 @@ def test_a_fault_shows_in_the_heartbeat(profile: DriveProfile) -> None:
     assert profile.traits.state_texts[heartbeat.state or 0] == "Fault"
 
 
-def test_a_controller_that_stalls_and_resumes_does_not_enable_it(profile: DriveProfile) -> None:
+def test_a_controller_that_is_suspended_and_resumes_does_not_enable_it(profile: DriveProfile) -> None:
     bench = Bench(profile)
     bench.enable(effort=1.0)
     for n in range(6, 20):

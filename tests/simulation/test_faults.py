@@ -60,7 +60,7 @@ def test_a_change_to_what_is_already_so_changes_nothing(
     events += zip(times_s, (effort for _, effort in commands), strict=True)
     for at_s, effort in sorted(events, key=lambda event: event[0]):
         if effort is None:
-            changed.change(at_s, gain_factor=1.0, jammed=False, safe_torque_off=False, fault_code=0, effort_limit=99.0)
+            changed.change(at_s, gain_factor=1.0, stalled=False, safe_torque_off=False, fault_code=0, effort_limit=99.0)
         else:
             changed.command(at_s, effort)
             alone.command(at_s, effort)
@@ -73,7 +73,7 @@ def test_a_change_to_what_is_already_so_changes_nothing(
     ("faults", "error"),
     [
         ({"no_such_fault": 1}, TypeError),
-        ({"gain_factor": 0.0, "jammed": True}, ValueError),
+        ({"gain_factor": 0.0, "stalled": True}, ValueError),
         ({"pole_factor": -1.0}, ValueError),
         ({"coulomb_friction": -1.0}, ValueError),
         ({"effort_limit": -1.0}, ValueError),
@@ -128,14 +128,14 @@ def test_the_load_of_a_fault_adds_to_that_of_the_settings(profile: DriveProfile)
     assert [bench.drive.position, bench.drive.velocity] == pytest.approx(motion((0.01, 0.7), (0.02, 0.5)))
 
 
-def test_a_jam_stops_it_at_once_and_for_as_long_as_it_lasts(profile: DriveProfile) -> None:
+def test_a_stall_stops_it_at_once_and_for_as_long_as_it_lasts(profile: DriveProfile) -> None:
     bench = driven(profile, load=0.5, load_at_s=0.03)
-    bench.change(0.02, jammed=True)
+    bench.change(0.02, stalled=True)
     bench.command(0.025, 2.0)
     bench.cycle(0.1)
     stands_at = motion((0.02, 1.0))[0]
     assert [bench.drive.position, bench.drive.velocity] == pytest.approx([stands_at, 0.0], rel=1e-9, abs=0.0)
-    bench.change(0.1, jammed=False)
+    bench.change(0.1, stalled=False)
     bench.cycle(0.13)
     assert bench.drive.position == pytest.approx(stands_at + motion((0.03, 1.5))[0])
 

@@ -63,7 +63,7 @@ def moves_by_the_command_line(bench: Bench) -> Figures:
         check(abs(seen[axis]["last"] - target) < 0.1, "cantools agrees", **seen[axis])
         dropped = bench.ask(axis)["frames"][
             "dropped"
-        ]  # by a machine that stalls for a tick; two in a row would have tripped
+        ]  # by a machine that misses a tick; two in a row would have tripped
         check(seen[axis]["commands"] > 200 and seen[axis]["gaps"] <= dropped, "the other commands are on the bus",
               dropped=dropped, **seen[axis])  # fmt: skip
         check(frames[axis]["rejected"] == 0, "none was rejected", **frames[axis])

@@ -164,7 +164,7 @@ class Trial:
     def write_nothing_in_opt(self) -> Figures:
         """Find all as it was unpacked: neither service nor commands write below /opt, and root's do not either.
 
-        Disarmed: reading so much stalls an emulated machine for longer than an axis bears.
+        Disarmed: reading so much holds up an emulated machine for longer than an axis bears.
         """
         self._operate("disarm")
         changed = differences(self._unpacked, inventory(str(OPT)))

@@ -152,11 +152,11 @@ def test_an_axis_name_cannot_lead_out_of_the_folder(tmp_path: Path) -> None:
     folder = tmp_path / "trips"
 
     async def write() -> None:
-        TripFiles(folder).write("../../etc/x y:\n-jam", {}, ())
+        TripFiles(folder).write("../../etc/x y:\n-stall", {}, ())
 
     run(write())
     assert only_file(tmp_path) == folder
-    assert only_file(folder).name.endswith("-______etc_x_y__-jam.json")
+    assert only_file(folder).name.endswith("-______etc_x_y__-stall.json")
 
 
 # A disk that fails ----------------------------------------------------------------------------------------------------
@@ -238,7 +238,7 @@ def test_a_disk_that_hangs_is_not_waited_for(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("year", [2001, 2999], ids=["older", "of a clock that was ahead"])
 def test_only_so_many_files_are_kept_and_the_new_one_is_among_them(tmp_path: Path, year: int) -> None:
-    old = [tmp_path / f"{year}0101T0000{second:02}Z-7-1-x-jam.json" for second in range(60)]
+    old = [tmp_path / f"{year}0101T0000{second:02}Z-7-1-x-stall.json" for second in range(60)]
     for path in (*old, tmp_path / "recipe.json", tmp_path / "notes.txt"):
         path.write_text("{}", encoding="utf-8")
 
@@ -298,7 +298,7 @@ def names_in(folder: Path) -> list[str]:
 
 def test_of_two_trips_of_one_moment_both_files_stay_although_the_clock_was_ahead(tmp_path: Path) -> None:
     for second in range(KEPT):
-        (tmp_path / f"20990101T0000{second:02}Z-7-1-x-jam.json").write_text("{}", encoding="utf-8")
+        (tmp_path / f"20990101T0000{second:02}Z-7-1-x-stall.json").write_text("{}", encoding="utf-8")
     write_several(tmp_path, "x-stale_feedback", "y-stale_feedback", "z-stale_feedback")
     new = sorted(path.name.partition("Z-")[2] for path in tmp_path.iterdir() if path.name.startswith("0000"))
     assert new == ["x-stale_feedback.json", "y-stale_feedback.json", "z-stale_feedback.json"]
@@ -319,8 +319,8 @@ def test_the_same_second_process_and_number_after_a_reboot_writes_over_nothing(
     monkeypatch.setattr(time, "gmtime", lambda *_: time.struct_time((2023, 1, 1, 0, 0, 7, 6, 1, 0)))
     monkeypatch.setattr(os, "getpid", lambda: 1)
     for _ in range(3):
-        write_several(tmp_path, "x-jam")
-    assert names_in(tmp_path) == ["x-jam"] * 3
+        write_several(tmp_path, "x-stall")
+    assert names_in(tmp_path) == ["x-stall"] * 3
 
 
 def test_services_that_share_a_folder_give_each_number_once(tmp_path: Path) -> None:
@@ -330,7 +330,7 @@ def test_services_that_share_a_folder_give_each_number_once(tmp_path: Path) -> N
     def serve(number: int) -> None:
         together.wait(60)
         for count in range(each):
-            write_file(tmp_path, "x-jam", {"service": number, "count": count}, ())
+            write_file(tmp_path, "x-stall", {"service": number, "count": count}, ())
 
     with concurrent.futures.ThreadPoolExecutor(services) as pool:
         list(pool.map(serve, range(services)))
@@ -344,7 +344,7 @@ def test_services_that_share_a_folder_give_each_number_once(tmp_path: Path) -> N
 
 
 def test_a_name_that_is_taken_is_not_written_over(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    taken = tmp_path / "000001-20230101T000007Z-x-jam.part"
+    taken = tmp_path / "000001-20230101T000007Z-x-stall.part"
     monkeypatch.setattr(time, "gmtime", lambda *_: time.struct_time((2023, 1, 1, 0, 0, 7, 6, 1, 0)))
     iterdir = Path.iterdir
     seen: list[Path] = []
@@ -358,16 +358,16 @@ def test_a_name_that_is_taken_is_not_written_over(monkeypatch: pytest.MonkeyPatc
         return iterdir(folder)
 
     monkeypatch.setattr(Path, "iterdir", too_early)
-    path = write_file(tmp_path, "x-jam", {}, ())
-    assert path.name == "000002-20230101T000007Z-x-jam.json"
+    path = write_file(tmp_path, "x-stall", {}, ())
+    assert path.name == "000002-20230101T000007Z-x-stall.json"
 
 
 def test_what_a_power_cut_left_is_removed_and_what_another_service_writes_is_not(tmp_path: Path) -> None:
     left, earlier, theirs, recipe = (
         tmp_path / name
         for name in (
-            "000007-20990101T000000Z-x-jam.part", "20990101T000000Z-7-1-x-jam.part",
-            "000008-20230101T000000Z-y-jam.part", "recipe.part",
+            "000007-20990101T000000Z-x-stall.part", "20990101T000000Z-7-1-x-stall.part",
+            "000008-20230101T000000Z-y-stall.part", "recipe.part",
         )
     )  # fmt: skip
     for path in (left, earlier, theirs, recipe):
@@ -375,7 +375,7 @@ def test_what_a_power_cut_left_is_removed_and_what_another_service_writes_is_not
         os.utime(path, (4e9, 4e9))  # of a clock that was ahead
     with theirs.open() as being_written:
         fcntl.flock(being_written, fcntl.LOCK_EX)
-        path = write_file(tmp_path, "x-jam", {}, ())
+        path = write_file(tmp_path, "x-stall", {}, ())
         assert sorted(tmp_path.iterdir()) == sorted([theirs, recipe, path])
     assert path.name.startswith("000009-")
 
@@ -388,7 +388,7 @@ def test_a_service_that_was_stopped_while_it_had_the_folder_is_not_waited_for(
     directory = os.open(tmp_path, os.O_RDONLY)
     try:
         fcntl.flock(directory, fcntl.LOCK_EX)
-        path = write_file(tmp_path, "x-jam", {}, ())
+        path = write_file(tmp_path, "x-stall", {}, ())
     finally:
         os.close(directory)
     assert path.exists()
@@ -407,7 +407,7 @@ def test_a_trip_needs_no_thread_that_is_not_there_yet(monkeypatch: pytest.Monkey
         files = TripFiles(tmp_path)
         files.start()
         monkeypatch.setattr(threading.Thread, "start", no_thread_left)
-        files.write("x-jam", {"name": "x"}, ())
+        files.write("x-stall", {"name": "x"}, ())
         await asyncio.wait(files._writing)
         await asyncio.sleep(0)
         assert (files.error, files.latest) == (None, only_file(tmp_path))
@@ -422,7 +422,7 @@ def test_without_a_thread_the_service_goes_on_and_says_that_there_is_no_file(
     async def write() -> str | None:
         files = TripFiles(tmp_path)
         monkeypatch.setattr(threading.Thread, "start", no_thread_left)
-        files.write("x-jam", {}, ())
+        files.write("x-stall", {}, ())
         return files.error
 
     error = asyncio.run(write())
@@ -465,7 +465,7 @@ def test_the_end_waits_until_the_file_is_written(tmp_path: Path) -> None:
 
     async def write() -> None:
         files = TripFiles(tmp_path, slow)
-        files.write("x-jam", {}, ())
+        files.write("x-stall", {}, ())
         assert await asyncio.to_thread(begun.wait, 60)
         let_go.set()
         files.close()
@@ -484,7 +484,7 @@ def test_a_disk_that_hangs_keeps_no_service_from_ending(monkeypatch: pytest.Monk
 
     async def write() -> None:
         files = TripFiles(tmp_path, hang)
-        files.write("x-jam", {}, ())
+        files.write("x-stall", {}, ())
         files.close()
         let_go.set()
 
@@ -494,12 +494,12 @@ def test_a_disk_that_hangs_keeps_no_service_from_ending(monkeypatch: pytest.Monk
 def test_each_axis_tells_of_its_own_file(tmp_path: Path) -> None:
     async def write() -> None:
         files = TripFiles(tmp_path)
-        one, another = files.write("x-jam", {"name": "x"}, ()), files.write("y-jam", {"name": "y"}, ())
+        one, another = files.write("x-stall", {"name": "x"}, ()), files.write("y-stall", {"name": "y"}, ())
         await asyncio.sleep(0.1)
         assert one.path is not None
         assert another.path is not None
-        assert one.path.endswith("-x-jam.json")
-        assert another.path.endswith("-y-jam.json")
+        assert one.path.endswith("-x-stall.json")
+        assert another.path.endswith("-y-stall.json")
 
     run(write())
 

@@ -114,7 +114,7 @@ def test_an_overdue_tick_still_lets_other_tasks_run() -> None:
         ticks = Ticks(PERIOD_S, start_s=-1.0)
         await anext(ticks)
         before = turns
-        ticks._index = 0  # overdue again, as after a stall
+        ticks._index = 0  # overdue again, as after a suspension
         await anext(ticks)
         gained = turns - before
         task.cancel()

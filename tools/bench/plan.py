@@ -8,7 +8,7 @@ HOST: Final = "127.0.0.1"
 
 PATIENT: Final = (
     "axis.limits.stale_feedback_ms=3000", "axis.limits.heartbeat_ms=3000", "axis.limits.missed_ticks=300",
-    "axis.limits.feedback_errors=100", "axis.limits.following_error_minimum=500", "axis.limits.innovation=500",
+    "axis.limits.feedback_errors=100", "axis.limits.following_error_minimum=500", "axis.limits.innovation_gate=500",
     "service.log_level=warning",
 )  # fmt: skip
 """Overrides with which the axis goes on moving on a busy machine: its punctuality is measured, not its limits."""

@@ -185,7 +185,7 @@ def _tolerant(*keep: str) -> list[str]:
     But for the time that widens the gate with the speed: dates that are off by so much would hide each change of the
     encoder, and such an axis is refused.
     """
-    kept = {"effort", "effort_rate", "jam_effort", "velocity", "acceleration", "quick_stop_deceleration", *keep}
+    kept = {"effort", "effort_rate", "stall_effort", "velocity", "acceleration", "quick_stop_deceleration", *keep}
     kept.add("innovation_time_ms")
     overrides = ["axis.arming_timeout_ms=50.0"]
     for name, field in LimitSettings.model_fields.items():
@@ -200,7 +200,7 @@ def _tolerant(*keep: str) -> list[str]:
 @cache
 def all_drives() -> tuple[Drive, ...]:
     """Return every drive; the shipped configuration first."""
-    homing = ("axis.homing.required=true", "axis.homing.travel=1e6", "axis.limits.innovation=100.0")
+    homing = ("axis.homing.required=true", "axis.homing.travel=1e6", "axis.limits.innovation_gate=100.0")
     ieee_float = (
         f'protocol.dbc="{_FOLDER / "ieee_float.dbc"}"', 'protocol.checksum="xor8"',
         *_protocol(
@@ -234,7 +234,7 @@ def all_drives() -> tuple[Drive, ...]:
     return (
         Drive("shipped", ()),
         Drive("shipped, tolerant", _tolerant()),
-        Drive("shipped, tolerant but for jumps", _tolerant("innovation", "overspeed")),
+        Drive("shipped, tolerant but for jumps", _tolerant("innovation_gate", "overspeed")),
         Drive("shipped, homing on a switch", (*homing, 'axis.homing.method="switch"')),
         Drive("shipped, homing on a hard stop", (*homing, 'axis.homing.method="hard_stop"')),
         Drive("shipped, homing on the index, tolerant", (*_tolerant(), *homing, 'axis.homing.method="index"')),

@@ -92,7 +92,7 @@ class _Attack:
         self._ticks_over = 0
         rng = self.rng
         self._breaks_bus = rng.random() < 0.1
-        self._stalls = rng.random() < 0.2
+        self._host_is_late = rng.random() < 0.2
         self._foreign_commands = rng.random() < 0.3  # each of which trips the axis
         self._requests = RequestMaker(rng)
         foreign = self._foreign_commands
@@ -135,9 +135,11 @@ class _Attack:
         self._operate()
         if rng.random() < _SNAPSHOT_SHARE:
             encode(bench.harness.snapshot())  # which refuses what is not finite
-        if self._stalls and rng.random() < 0.02:
+        if self._host_is_late and rng.random() < 0.02:
             bench.missed_next = rng.choice((1, 2, 3, 6, 40, 1001))
-        bench.lateness_next_s = rng.random() * bench.period_s * (0.9 if self._stalls and rng.random() < 0.05 else 0.01)
+        bench.lateness_next_s = (
+            rng.random() * bench.period_s * (0.9 if self._host_is_late and rng.random() < 0.05 else 0.01)
+        )
         if self._breaks_bus:
             self._break_bus()
 

@@ -27,12 +27,12 @@ _STRANGER: Final = 4712
 _NOBODYS_GROUP: Final = 65534
 _ERROR_FLAG: Final = 0x20000000  # CAN_ERR_FLAG of linux/can.h
 _TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
-# An emulated processor on a machine that has other work to do stalls for tenths of a second. What is shown here is what
-# happens, not how punctually.
+# An emulated processor on a machine that has other work to do is suspended for tenths of a second. What is shown here
+# is what happens, not how punctually.
 _PATIENT: Final = {
-    "innovation": 100.0, "following_error_minimum": 200.0, "following_error_time_s": 5.0,
+    "innovation_gate": 100.0, "following_error_minimum": 200.0, "following_error_time_s": 5.0,
     "stale_feedback_ms": 2000.0, "heartbeat_ms": 10_000.0, "feedback_errors": 100, "missed_ticks": 200,
-    "jam_effort": 24.0, "jam_time_ms": 5000.0, "effort_saturation_ms": 5000.0, "overspeed": 1000.0,
+    "stall_effort": 24.0, "stall_time_ms": 5000.0, "effort_saturation_ms": 5000.0, "overspeed": 1000.0,
 }  # fmt: skip
 _UNDETECTED_TRAVEL: Final = 60.0
 """Of an encoder that is told late because of those limits, mm."""

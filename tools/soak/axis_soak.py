@@ -70,7 +70,7 @@ class AxisSoak:
         self._was_homing = False
         self._boots_told = self.drive.boots
         self._mishaps = (
-            *[self._fall_silent] * 6, *[self._load_the_axis] * 6, *[self._spike] * 4, *[self._stall] * 3,
+            *[self._fall_silent] * 6, *[self._load_the_axis] * 6, *[self._spike] * 4, *[self._suspend_host] * 3,
             *[self._fault] * 2, *[self._emergency_stop] * 2, self._reboot_or_hang, self._trip, self._knock,
             self._foreign_command, self._limit_switch,
             *([] if "encoder" in without else [self._encoder_fails] * 8),
@@ -149,7 +149,7 @@ class AxisSoak:
         height = 5.0 * self.axis.settings.limits.position_overrun
         self.drive.spike = self.random.uniform(-height, height)
 
-    def _stall(self) -> None:
+    def _suspend_host(self) -> None:
         missed = self.random.choice((1, 1, 2, 3, 10))
         for _ in range(missed):
             self.drive.miss()

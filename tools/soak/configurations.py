@@ -40,7 +40,7 @@ _QUIETER = (1.0, 0.1, 0.01, 1e-3, 1e-4)
 """Shares of the measurement variance that are tried, one after the other."""
 
 _LENGTHS = (
-    "position_minimum", "position_maximum", "position_overrun", "following_error_minimum", "innovation",
+    "position_minimum", "position_maximum", "position_overrun", "following_error_minimum", "innovation_gate",
 )  # fmt: skip
 
 
@@ -157,7 +157,7 @@ def converted(length: float, time: float, tick_s: float, *, same_loop: bool = Tr
         "axis.limits.following_error_time_s": limits.following_error_time_s * time,
         # By how much dates of samples are off depends on the tick, not on the plant.
         "axis.limits.innovation_time_ms": limits.innovation_time_ms * tick_s / _DEMO_TICK_S,
-        "axis.limits.jam_time_ms": limits.jam_time_ms * time,
+        "axis.limits.stall_time_ms": limits.stall_time_ms * time,
         "axis.limits.stale_feedback_ms": max(
             limits.stale_feedback_ms * min(time, 1.0), 1e3 * LEAST_STALE_TICKS * tick_s
         ),
@@ -183,7 +183,7 @@ def variants() -> Iterator[tuple[Kind, float, float, bool]]:
 def configuration(kind: Kind, tick_ms: float, gate: float, *more: str, same_loop: bool = True) -> Configuration:
     """Return one configuration; `gate` is the innovation gate as a share of the position overrun."""
     keys = converted(kind.length, kind.time, tick_ms / 1e3, same_loop=same_loop)
-    keys["axis.limits.innovation"] = gate * keys["axis.limits.position_overrun"]
+    keys["axis.limits.innovation_gate"] = gate * keys["axis.limits.position_overrun"]
     overrides = [f'axis.unit="{kind.unit}"', *(f"{key}={value!r}" for key, value in keys.items()), *more]
     loop = "" if same_loop else ", the demo's Q/R and variances"
     name = f"{kind.name} ({kind.unit}), tick {tick_ms:g} ms, gate {gate:g} of the overrun{loop}"

@@ -110,4 +110,4 @@ class DriveWatch:
         """Return how far it may go before that is seen: what a sample may be off, twice, and what it goes meanwhile."""
         limits = self._axis.settings.limits
         on_the_way = abs(self._drive.velocity) * _SLACK_TICKS * self._axis.design.period_s
-        return 2.0 * limits.innovation + on_the_way
+        return 2.0 * limits.innovation_gate + on_the_way

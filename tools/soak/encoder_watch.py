@@ -4,7 +4,7 @@ As in :mod:`twostage_servo.faults.budget`, the way has three parts, each from th
 before the fault is certain, which `check` holds to the position overrun unless ``axis.limits.undetected_travel`` states
 more; the latency; and coming to rest, by the quick stop or without effort, whichever takes longer. The speed is that of
 the motion that was asked for; an encoder that counts half lets the law drive twice as fast, and one that stands still
-lets the effort grow by the jam effort until it is told from friction.
+lets the effort grow by the stall effort until it is told from friction.
 
 Another scale is told by the jump of the measured speed where it comes in a cruise, from the slowest speed on of which
 `check` says so (:func:`certain_speed`). A plant off its model makes the estimate of the speed wrong while that changes:
@@ -69,7 +69,7 @@ def travel_bound(design: AxisDesign, speed: float, factor: float) -> float:
     reached = 2.0 * speed if factor == ENCODER_FACTORS["counting half"] else speed
     if factor == ENCODER_FACTORS["frozen"]:
         plant = design.settings.plant
-        reached += abs(plant.gain) / plant.pole * limits.jam_effort * (1.0 + MODEL_ERROR)
+        reached += abs(plant.gain) / plant.pole * limits.stall_effort * (1.0 + MODEL_ERROR)
     coasting = reached / (design.settings.plant.pole * (1.0 - MODEL_ERROR))
     rest = max(coasting, design.certain_stopping_distance(reached, limits.quick_stop_deceleration))
     latency_s = (IMPLAUSIBLE_SAMPLES + _SAMPLE_AGE_TICKS) * design.period_s
@@ -174,8 +174,8 @@ class EncoderWatch:
         """Look at the true axis (axis unit, axis unit/s) and its effort after a tick; say what is wrong, or None.
 
         An encoder that stands still at an axis too slow for its jump to show is friction's double: until the effort has
-        changed by the jam effort, which is more than its friction, nothing tells them apart, and the axis may creep. So
-        may one with another scale, until it has been fast enough for that to show.
+        changed by the stall effort, which is more than its friction, nothing tells them apart, and the axis may creep.
+        So may one with another scale, until it has been fast enough for that to show.
         """
         self._speeds.append(abs(speed))
         self._fastest = max(kept_in(_FADING, self._axis.design.period_s) * self._fastest, abs(speed))
@@ -201,7 +201,7 @@ class EncoderWatch:
 
     def _may_creep(self, speed: float, effort: float) -> bool:
         if self._effort_before is not None:
-            if abs(effort - self._effort_before) < self._axis.settings.limits.jam_effort:
+            if abs(effort - self._effort_before) < self._axis.settings.limits.stall_effort:
                 return True
             self._effort_before = None
         self._is_slow = self._is_slow and speed < self._certain_speed()
@@ -288,4 +288,4 @@ class EncoderWatch:
         settings, design = self._axis.settings, self._axis.design
         homed = 3.0 * settings.homing.slow_velocity * design.period_s
         moved = speed * (settings.limits.stale_feedback_ms / 1e3 + _SAMPLE_AGE_TICKS * design.period_s)
-        return settings.window.position + settings.limits.innovation + homed + moved
+        return settings.window.position + settings.limits.innovation_gate + homed + moved

@@ -102,7 +102,7 @@ class Invariants:
         if not axis.referenced or state not in DRIVEN or state in LATCHED:
             return
         estimate, limits = axis.estimate, axis.settings.limits
-        gate = limits.innovation + 1e-3 * limits.innovation_time_ms * self._fastest
+        gate = limits.innovation_gate + 1e-3 * limits.innovation_time_ms * self._fastest
         allowed = 2.0 * gate + self._fastest * self._unseen_s + axis.settings.window.position
         error = abs(estimate.position - position)
         if error > allowed:

@@ -132,7 +132,7 @@ class ServiceMishaps:
     async def _disturb_host(self) -> None:
         tick_s = self._world.period_s
         fault = self._random.choice(
-            (host_faults.stall(1.2 * tick_s), host_faults.stall(5.0 * tick_s), host_faults.wall_clock_jumps)
+            (host_faults.suspend(1.2 * tick_s), host_faults.suspend(5.0 * tick_s), host_faults.wall_clock_jumps)
         )
         fault(self._world, self._random)
 

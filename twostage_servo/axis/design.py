@@ -99,7 +99,7 @@ class AxisDesign:
         resolution
             Step in which the encoder's position is reported, in axis unit; 0 if it has none.
         """
-        return self.settings.limits.innovation + 2.0 * resolution
+        return self.settings.limits.innovation_gate + 2.0 * resolution
 
     def stopping_distance(self, velocity: float, deceleration: float) -> float:
         """Return how far the axis travels in a stop, in axis unit, not negative.

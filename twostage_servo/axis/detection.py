@@ -126,8 +126,8 @@ def _remedy(worst: Detection, period_s: float) -> str:
         return "lower the velocity, or state the distance that is acceptable as axis.limits.undetected_travel"
     step = abs(CHANGES[worst.change] - 1.0) * worst.velocity * period_s
     return (
-        f"or axis.limits.innovation below the {step:.3g} that such an encoder shows too little or too much in a tick; "
-        "no distance can be stated here"
+        f"or axis.limits.innovation_gate below the {step:.3g} that such an encoder shows too little or too much in a "
+        "tick; no distance can be stated here"
     )
 
 

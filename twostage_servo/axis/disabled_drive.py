@@ -26,7 +26,7 @@ class MotionWhileDisabled:
 
     An axis that was moving coasts: by ``speed / pole``, with a plant that is off its model by as much as it may be, and
     what it goes before the drive has taken the command. Motion beyond that, and beyond what a sample may be off
-    (``axis.limits.innovation``), is not explained. When it should have come to rest, its place is taken anew.
+    (``axis.limits.innovation_gate``), is not explained. When it should have come to rest, its place is taken anew.
 
     Parameters
     ----------

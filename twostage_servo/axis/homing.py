@@ -144,7 +144,7 @@ class Homing:
     def _check_on_the_way(self, mark: float) -> None:
         """Refuse an index mark (axis unit) that the search has not passed."""
         place, unit = self._motion.law.observer.position, self._unit
-        allowed = self._motion.innovation_limit + self._way_ahead
+        allowed = self._motion.innovation_gate + self._way_ahead
         if not min(self._start, place) - allowed <= mark <= max(self._start, place) + allowed:
             raise HomingFailed(
                 f"the drive tells of an index mark at {mark:.6g} {unit}, where the axis has not been: the search has "

@@ -14,14 +14,14 @@ from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.per_time import kept_in
 
 IMPLAUSIBLE_SAMPLES = 2
-"""Samples in a row beyond the innovation limit that are a fault: one is a spike, two are not."""
+"""Samples in a row beyond the innovation gate that are a fault: one is a spike, two are not."""
 
 _LONG_GAP_MS = 20.0
 """Time of missed ticks, in ms, after which the model is tested afresh, once the estimate is right again: what they hid
 would count as evidence against it."""
 
 _LONGEST_PREDICTION_MS = 1000.0
-"""Time for which missed ticks are predicted one by one: a tick after a stall of hours must not take seconds."""
+"""Time for which missed ticks are predicted one by one: a tick after a suspension of hours must not take seconds."""
 
 _NOISE_DEVIATIONS = 3.0
 """Standard deviations of the measured position by which an encoder has to go on for its axis to move."""
@@ -83,7 +83,7 @@ class Motion:
         self._resolution = 1.5 * resolution
         noise: float = design.noise.measurement_variance**0.5
         self._least_motion = max(self._resolution, _NOISE_DEVIATIONS * noise)
-        self._recent: deque[float] = deque(maxlen=design.ticks(design.settings.limits.jam_time_ms) + 1)
+        self._recent: deque[float] = deque(maxlen=design.ticks(design.settings.limits.stall_time_ms) + 1)
         self._forget()
 
     def _forget(self) -> None:
@@ -125,7 +125,7 @@ class Motion:
         friction = self._load.friction(observer.velocity, observer.disturbance)
         self.law.stop(deceleration, friction, gradual=not self.blind)
         if self._stands_at is not None:  # what holds the axis, if it is not the encoder, must bear no more than it does
-            self.law.limit_effort(max(abs(self.law.effort), self._limits.jam_effort))
+            self.law.limit_effort(max(abs(self.law.effort), self._limits.stall_effort))
         self.nominal.continue_from(self.law)
 
     def shift(self, distance: float) -> None:
@@ -148,7 +148,7 @@ class Motion:
     def skip(self, periods: int) -> None:
         """Account for ticks that were missed.
 
-        What a long stall has made of the axis nobody can predict: beyond a second, and what the limits allow, the
+        Where a long suspension has left the axis nobody can predict: beyond a second, and what the limits allow, the
         estimate stays as it is then.
         """
         law, periods = self.law, min(periods, self._longest_prediction)
@@ -233,7 +233,7 @@ class Motion:
 
     @property
     def moves_after_all(self) -> bool:
-        """Whether an encoder that seemed to stand still shows motion: then the axis was jammed, and is free now."""
+        """Whether an encoder that seemed to stand still shows motion: then the axis was stalled, and is free now."""
         position = self._drive.position if self._drive.fresh else None
         if self._stands_at is None or position is None:
             return False
@@ -241,7 +241,7 @@ class Motion:
 
     @property
     def recent_way(self) -> float:
-        """How far apart the samples of the last jam time lie, in axis unit; infinity while there are not enough."""
+        """How far apart the samples of the last stall time lie, in axis unit; infinity while there are not enough."""
         recent = self._recent
         return max(recent) - min(recent) if len(recent) == recent.maxlen else math.inf
 
@@ -250,7 +250,7 @@ class Motion:
         self._tracking.lose()
 
     @property
-    def innovation_limit(self) -> float:
+    def innovation_gate(self) -> float:
         """How far a sample may lie from its prediction at the present speed and after a gap, in axis unit."""
         return self._gate(self.law.observer.velocity) + self._gap.allowance
 
@@ -266,7 +266,7 @@ class Motion:
         return math.isfinite(self.law.effort + observer.position + observer.velocity + observer.disturbance)
 
     def _gate(self, velocity: float) -> float:
-        return self._limits.innovation + 1e-3 * self._limits.innovation_time_ms * abs(velocity)
+        return self._limits.innovation_gate + 1e-3 * self._limits.innovation_time_ms * abs(velocity)
 
     def _note_load(self) -> None:
         observer, stage = self.law.observer, self.law.stage
@@ -295,7 +295,7 @@ class Motion:
             self._gap.miss(observer, self._effort)
             return None
         distance = sample - observer.position
-        if abs(distance) <= self.innovation_limit:
+        if abs(distance) <= self.innovation_gate:
             self.implausible = 0
             return sample
         self.implausible += 1

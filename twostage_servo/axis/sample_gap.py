@@ -37,7 +37,7 @@ class SampleGap:
         self._gain1 = predictor[0]
         self._gain = design.settings.plant.gain
         self._pole = design.settings.plant.pole
-        self._least = _CLOSED_SHARE * design.settings.limits.innovation
+        self._least = _CLOSED_SHARE * design.settings.limits.innovation_gate
         self._hidden_velocity = 0.0  # by how much the estimate may have been off before the gap, in axis unit/s
         self.close()
 

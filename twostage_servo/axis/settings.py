@@ -1,6 +1,6 @@
 """The tables ``[axis]`` and below: what the axis is, how its law is designed, and what it must never exceed."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -51,7 +51,13 @@ class ObserverSettings(Settings):
 
 
 class LimitSettings(Settings):
-    """What the axis must never exceed. Every limit has to be set: none is off by being left out."""
+    """What the axis must never exceed. All limits are mandatory."""
+
+    renamed: ClassVar = {
+        "innovation": "innovation_gate",
+        "jam_effort": "stall_effort",
+        "jam_time_ms": "stall_time_ms",
+    }
 
     position_minimum: float = quantity(unit="axis unit", description="Lowest set-point accepted", ge=-1e9, le=1e9)
     position_maximum: float = quantity(unit="axis unit", description="Highest set-point accepted", ge=-1e9, le=1e9)
@@ -98,26 +104,28 @@ class LimitSettings(Settings):
         ge=0.0,
         le=60.0,
     )
-    innovation: float = quantity(
+    innovation_gate: float = quantity(
         unit="axis unit",
-        description="Farthest that a measured position may lie from its prediction, at standstill; beyond it is not "
-        "believed, and a second one in a row trips",
+        description="Innovation gate at standstill: distance of a sample from its prediction beyond which it is "
+        "rejected; a second consecutive one trips",
         gt=0.0,
         le=1e9,
     )
     innovation_time_ms: float = quantity(
         unit="ms",
-        description="What is added to it for each axis unit/s of speed: what dates of samples may be off",
+        description="Width added to the innovation gate for each axis unit/s of speed: error of the sampling instant",
         ge=0.0,
         le=100.0,
     )
-    jam_effort: float = quantity(
+    stall_effort: float = quantity(
         unit="effort unit",
-        description="Effort, or change of effort, at which an axis that stands still is jammed; more than its friction",
+        description="Effort, or change of effort, at which an axis without motion has stalled; more than its friction",
         gt=0.0,
         le=1e9,
     )
-    jam_time_ms: float = quantity(unit="ms", description="Time for which it may do so", gt=0.0, le=60_000.0)
+    stall_time_ms: float = quantity(
+        unit="ms", description="Time at stall_effort without motion after which the axis trips", gt=0.0, le=60_000.0
+    )
     stale_feedback_ms: float = quantity(
         unit="ms", description="Time without fresh feedback after which an armed axis trips", gt=0.0, le=10_000.0
     )
@@ -155,10 +163,10 @@ class LimitSettings(Settings):
                 f"overspeed = {exact(self.overspeed)} is not above velocity = {exact(self.velocity)}, so an ordinary "
                 f"cruise would trip; about {1.25 * self.velocity:g} is usual"
             )
-        if self.jam_effort > self.effort:
+        if self.stall_effort > self.effort:
             raise ValueError(
-                f"jam_effort = {exact(self.jam_effort)} is above effort = {exact(self.effort)}, so a jam would never "
-                "be noticed"
+                f"stall_effort = {exact(self.stall_effort)} is above effort = {exact(self.effort)}, so a stall could "
+                "never trip; lower it"
             )
         return self
 

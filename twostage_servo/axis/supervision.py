@@ -13,8 +13,8 @@ Violation = tuple[TripCode, str]
 
 _QUICK = frozenset({State.QUICK_STOPPING, State.TRIPPED_QUICK_STOP})
 
-_CERTAIN_JAM_SHARE = 0.5
-"""Share of the jam time that is enough where nothing explains the samples but an encoder that stands still."""
+_CERTAIN_STALL_SHARE = 0.5
+"""Share of the stall time that is enough where nothing explains the samples but an encoder that stands still."""
 
 _BRAKING_PATIENCE = 2.0
 """How many times its designed duration a braking may take."""
@@ -39,16 +39,17 @@ class Supervision:
         "_braking_ticks",
         "_braking_ticks_allowed",
         "_changeover_time_s",
-        "_design", "_effort_before",
-        "_jam_ticks",
+        "_design",
+        "_effort_before",
         "_motion",
         "_saturation_ticks",
         "_settings",
         "_speed_of_move",
+        "_stall_ticks",
         "_ticks_frozen",
         "_ticks_in_window",
-        "_ticks_jammed",
         "_ticks_saturated",
+        "_ticks_stalled",
         "_window_ticks",
     )  # fmt: skip
 
@@ -57,7 +58,7 @@ class Supervision:
         settings = self._settings = design.settings
         self._motion = motion
         self._saturation_ticks = design.ticks(settings.limits.effort_saturation_ms)
-        self._jam_ticks = design.ticks(settings.limits.jam_time_ms)
+        self._stall_ticks = design.ticks(settings.limits.stall_time_ms)
         self._window_ticks = design.ticks(settings.window.time_ms)
         self._changeover_time_s = design.law.changeover_time_s
         self._ticks_in_window = 0
@@ -65,7 +66,7 @@ class Supervision:
 
     def start(self) -> None:
         """Begin afresh: at arming, and when a stop takes over."""
-        self._ticks_saturated = self._ticks_jammed = self._ticks_frozen = 0
+        self._ticks_saturated = self._ticks_stalled = self._ticks_frozen = 0
         self._braking_ticks = 0
         self._braking_ticks_allowed: float = math.inf
         self.forget_move()
@@ -117,7 +118,7 @@ class Supervision:
         yield from self._speed()
         seeks_a_stop = state is State.HOMING and self._settings.homing.method == "hard_stop"
         if not self._motion.blind:
-            yield from self._innovation()
+            yield from self._innovation_gate()
             yield from self._model(seeks_a_stop=seeks_a_stop)
         if state in BRAKING:
             yield from self._braking()
@@ -130,7 +131,7 @@ class Supervision:
             return
         if referenced and state is not State.HOMING:
             yield from self._position()
-        yield from self._jam()
+        yield from self._stall()
         yield from self._frozen()
         yield from self._following()
         yield from self._saturation()
@@ -157,7 +158,7 @@ class Supervision:
                 ),
             )
 
-    def _innovation(self) -> Iterator[Violation]:
+    def _innovation_gate(self) -> Iterator[Violation]:
         motion, unit = self._motion, self._settings.unit
         if motion.implausible >= IMPLAUSIBLE_SAMPLES:
             yield (
@@ -166,7 +167,7 @@ class Supervision:
                     f"{motion.implausible} measured positions in a row lie up to {motion.implausible_distance:+.4g} "
                     f"{unit} from their prediction, at {motion.law.observer.position:.6g} {unit} and "
                     f"{motion.law.observer.velocity:.4g} {unit}/s: the encoder jumped, stands still or counts wrongly; "
-                    f"{motion.innovation_limit:.3g} {unit} is allowed (axis.limits.innovation)"
+                    f"{motion.innovation_gate:.3g} {unit} is allowed (axis.limits.innovation_gate)"
                 ),
             )
 
@@ -191,24 +192,24 @@ class Supervision:
                 ),
             )
 
-    def _jam(self) -> Iterator[Violation]:
+    def _stall(self) -> Iterator[Violation]:
         """Watch for an axis that stands still against an effort, by the way that its samples show."""
         limits, law, motion = self._settings.limits, self._motion.law, self._motion
         rest, unit, effort_unit = self._design.rest_velocity, self._settings.unit, self._settings.effort_unit
         stuck = (
-            abs(law.effort - self._effort_before) >= limits.jam_effort  # without the load that it held before
-            and motion.recent_way <= rest * self._jam_ticks * self._design.period_s
+            abs(law.effort - self._effort_before) >= limits.stall_effort  # without the load that it held before
+            and motion.recent_way <= rest * self._stall_ticks * self._design.period_s
             and abs(motion.nominal.observer.velocity) > rest
         )
-        self._ticks_jammed = self._ticks_jammed + 1 if stuck else 0
-        if self._ticks_jammed >= self._jam_ticks:
+        self._ticks_stalled = self._ticks_stalled + 1 if stuck else 0
+        if self._ticks_stalled >= self._stall_ticks:
             yield (
-                TripCode.JAM,
+                TripCode.STALL,
                 (
                     f"the axis has stood still at {law.observer.position:.6g} {unit} for "
-                    f"{limits.jam_time_ms:g} ms though "
+                    f"{limits.stall_time_ms:g} ms though "
                     f"the effort is {law.effort:.4g} {effort_unit}, and was {self._effort_before:.4g} before; "
-                    f"axis.limits.jam_effort is {limits.jam_effort:g}"
+                    f"axis.limits.stall_effort is {limits.stall_effort:g}"
                 ),
             )
 
@@ -216,17 +217,17 @@ class Supervision:
         """Watch for an encoder that shows one position while the effort changes; half the time where certain."""
         limits, motion = self._settings.limits, self._motion
         unit, effort_unit = self._settings.unit, self._settings.effort_unit
-        frozen = motion.unchanged_effort >= limits.jam_effort
+        frozen = motion.unchanged_effort >= limits.stall_effort
         self._ticks_frozen = self._ticks_frozen + 1 if frozen else 0
-        if self._ticks_frozen >= self._jam_ticks or (
-            self._ticks_frozen >= _CERTAIN_JAM_SHARE * self._jam_ticks and motion.model_monitor.seems_to_stand
+        if self._ticks_frozen >= self._stall_ticks or (
+            self._ticks_frozen >= _CERTAIN_STALL_SHARE * self._stall_ticks and motion.model_monitor.seems_to_stand
         ):
             yield (
-                TripCode.JAM,
+                TripCode.STALL,
                 (
                     f"the encoder has shown the same position, {motion.law.observer.position:.6g} {unit}, "
-                    "while the effort changed "
-                    f"by {motion.unchanged_effort:.4g} {effort_unit}; axis.limits.jam_effort is {limits.jam_effort:g}"
+                    f"while the effort changed by {motion.unchanged_effort:.4g} {effort_unit}; "
+                    f"axis.limits.stall_effort is {limits.stall_effort:g}"
                 ),
             )
 
@@ -239,7 +240,7 @@ class Supervision:
         surprise = f"what the model and plants like it expect is off by {test.surprise:.3g} {unit} of late"
         if factor == 0.0:
             at = f"{self._motion.law.observer.position:.6g} {unit}"
-            yield TripCode.JAM, f"from one sample to the next the encoder has come to stand at {at}: {surprise}"
+            yield TripCode.STALL, f"from one sample to the next the encoder has come to stand at {at}: {surprise}"
             return
         what = "the sign" if factor < 0.0 else "the scale"
         yield (
@@ -273,7 +274,7 @@ class Supervision:
             what = (
                 f"{law.cruise_velocity:.4g} {self._settings.unit}/s can't be reached"
                 if in_speed
-                else "a load, or a jam"
+                else "a load, or an obstacle"
             )
             yield (
                 TripCode.SPEED_UNREACHABLE if in_speed else TripCode.EFFORT_SATURATED,

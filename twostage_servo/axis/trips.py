@@ -37,7 +37,7 @@ class TripCode(enum.StrEnum):
     POSITION_JUMP = "position_jump"
     MODEL_MISMATCH = "model_mismatch"
     SIGN_REVERSED = "sign_reversed"
-    JAM = "jam"
+    STALL = "stall"
     SPEED_UNREACHABLE = "speed_unreachable"
     EFFORT_SATURATED = "effort_saturated"
     FOLLOWING_ERROR = "following_error"
@@ -106,8 +106,8 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.FEEDBACK_ERRORS: TripRule(
         _QUICK,
-        "If `frames` in `status` counts `implausible` samples, check the encoder and axis.limits.innovation; else look "
-        "for a bad cable, a missing termination or a second node with this identifier. Then `reset` and `arm`.",
+        "If `frames` in `status` counts `implausible` samples, check the encoder and axis.limits.innovation_gate; else "
+        "look for a bad cable, a missing termination or a second node with this identifier. Then `reset` and `arm`.",
         blind=True,
     ),
     TripCode.POSITION_JUMP: TripRule(
@@ -130,7 +130,7 @@ RULES: dict[TripCode, TripRule] = {
         reckoned=True,
         position_in_doubt="the encoder may count the wrong way",
     ),
-    TripCode.JAM: TripRule(
+    TripCode.STALL: TripRule(
         _QUICK,
         "Find what holds the axis, or the encoder that stands still; then `reset`, `arm` and `home`: the axis may "
         "have moved unseen.",
@@ -147,7 +147,7 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.FOLLOWING_ERROR: TripRule(
         _QUICK,
-        "Look for a jam, a load or a wrong plant model ([axis.plant], `design`), then `reset` and `arm`.",
+        "Look for an obstacle, a load or a wrong plant model ([axis.plant], `design`), then `reset` and `arm`.",
     ),
     TripCode.POSITION_LIMIT: TripRule(
         _QUICK,

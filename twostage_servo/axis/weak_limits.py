@@ -92,7 +92,7 @@ def _unseen_travel(design: AxisDesign) -> Iterator[WeakLimit]:
                 f"lower it to {int(1e3 * allowed / speed / per)} at most",
             )
     for name, gate in (
-        ("innovation", limits.innovation),
+        ("innovation_gate", limits.innovation_gate),
         ("innovation_time_ms", 1e-3 * limits.innovation_time_ms * speed),
     ):
         if gate > allowed:
@@ -111,7 +111,7 @@ def _times(design: AxisDesign, *, heartbeat: bool) -> Iterator[WeakLimit]:
     crossing_ms = 1e3 * _travel(design) / limits.velocity
     longest: dict[tuple[str, ...], str] = {
         ("limits", "effort_saturation_ms"): "the trip for an effort that stands at its limit",
-        ("limits", "jam_time_ms"): "the trip for a jam",
+        ("limits", "stall_time_ms"): "the trip for a stall",
         ("arming_timeout_ms",): "the trip for a drive that does not disable",
         ("jog_timeout_ms",): "the end of a jog whose operator has gone",
     }
@@ -123,9 +123,9 @@ def _times(design: AxisDesign, *, heartbeat: bool) -> Iterator[WeakLimit]:
         value = _value(settings, key)
         if value > crossing_ms:
             yield WeakLimit(key, value, f"{what}: {_CROSSED.format(crossing_ms)}", "lower it well below that")
-    if min(crossing_ms, limits.effort_saturation_ms) < limits.jam_time_ms <= crossing_ms:
-        text = "the trip for a jam: effort_saturation_ms is shorter, so the axis pushes with all of its effort before"
-        yield WeakLimit(("limits", "jam_time_ms"), limits.jam_time_ms, text, "lower it below effort_saturation_ms")
+    if min(crossing_ms, limits.effort_saturation_ms) < limits.stall_time_ms <= crossing_ms:
+        text = "the trip for a stall: effort_saturation_ms is shorter, so the axis pushes with all of its effort before"
+        yield WeakLimit(("limits", "stall_time_ms"), limits.stall_time_ms, text, "lower it below effort_saturation_ms")
     stale_ticks = design.ticks(limits.stale_feedback_ms)
     most = WINDOW_TICKS * (stale_ticks - 1) / stale_ticks
     if most < limits.feedback_errors and stale_ticks > 1:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _PATIENCE = (
     "axis.limits.stale_feedback_ms=100",
     "axis.limits.missed_ticks=20",
-    "axis.limits.innovation=5",
+    "axis.limits.innovation_gate=5",
     "simulation.command_timeout_ms=250",
 )
 """What the embedded demo allows in real time: a busy desktop may well hold a process up for a tenth of a second."""

@@ -216,7 +216,7 @@ def bench_overrides(config: Config, port: int, folder: Path) -> list[str]:
         "axis.limits.heartbeat_ms": max(limits.heartbeat_ms, 1000.0),
         "axis.limits.feedback_errors": 100,
         # Not by innovation_time_ms, which would hide an encoder that is wrong, and is refused for that.
-        "axis.limits.innovation": limits.innovation + 0.1 * limits.velocity,
+        "axis.limits.innovation_gate": limits.innovation_gate + 0.1 * limits.velocity,
         "axis.limits.following_error_time_s": max(limits.following_error_time_s, 1.0),
         "simulation.command_timeout_ms": max(config.simulation.command_timeout_ms, 250.0),
         "simulation.noise_std": 0.0,

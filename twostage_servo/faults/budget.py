@@ -95,9 +95,9 @@ class Budget:
         self._pole = design.settings.plant.pole
         self._gain = abs(design.settings.plant.gain)
 
-    def innovation(self, speed: float) -> float:
+    def innovation_gate(self, speed: float) -> float:
         """Return how far a sample may lie from its prediction at a speed in axis unit/s."""
-        return self.limits.innovation + 1e-3 * self.limits.innovation_time_ms * speed
+        return self.limits.innovation_gate + 1e-3 * self.limits.innovation_time_ms * speed
 
     # What is tolerated -----------------------------------------------------------------------------------------------
 
@@ -106,8 +106,8 @@ class Budget:
         return self.design.settings.window.position
 
     def bridged(self) -> float:
-        """Return what ticks without a sample cost: an estimate off by more than the innovation limit would trip."""
-        return self.innovation(self.reference.peak_speed(0.0)) + self.unnoticed()
+        """Return what ticks without a sample cost: an estimate off by more than the innovation gate would trip."""
+        return self.innovation_gate(self.reference.peak_speed(0.0)) + self.unnoticed()
 
     def followed(self) -> float:
         """Return what the law has to work off: the following error that is allowed at the move's speed."""
@@ -125,7 +125,9 @@ class Budget:
         efforts = [sample.effort for sample in self.reference.samples if sample.time_s >= self._since_s]
         changes = sum(abs(after - before) for before, after in itertools.pairwise(efforts))
         speed = self.reference.peak_speed(60.0)
-        return speed * late_s + self._gain / self._pole * changes * late_s + self.innovation(speed) + self.unnoticed()
+        return (
+            speed * late_s + self._gain / self._pole * changes * late_s + self.innovation_gate(speed) + self.unnoticed()
+        )
 
     # What comes to rest ----------------------------------------------------------------------------------------------
 
@@ -153,32 +155,32 @@ class Budget:
         return self.quick_stop(self.noticing_s(self.limits.stale_feedback_ms / (1e3 * self.tick_s)))
 
     def implausible(self) -> float:
-        """Return what samples beyond the innovation limit cost: quick stop on the model, after two."""
+        """Return what samples beyond the innovation gate cost: quick stop on the model, after two."""
         return self.quick_stop(self.noticing_s(IMPLAUSIBLE_SAMPLES))
 
     def blind_encoder(self) -> float:
         """Return what an encoder costs that stands still while its counter lives.
 
-        At a speed whose tick is longer than the innovation limit, samples become implausible at once. Below, the law
-        raises the effort until it has changed by the jam effort: by f22 a tick for each unit of speed or distance that
-        is missing. The effort may drive the axis by so much faster meanwhile.
+        At a speed whose tick is longer than the innovation gate, samples become implausible at once. Below, the law
+        raises the effort until it has changed by the stall effort: by f22 a tick for each unit of speed or distance
+        that is missing. The effort may drive the axis by so much faster meanwhile.
         """
         speed = self.reference.peak_speed(0.0)
-        if speed * self.tick_s > self.innovation(speed):
+        if speed * self.tick_s > self.innovation_gate(speed):
             return self.implausible()
         missing = self.reference.to_go if self.reference.closing else self.design.settings.cruise_velocity
         f22 = servo_gains_of(self.design).f22
         ticks = max(
-            self.design.ticks(self.limits.jam_time_ms),
-            self.limits.jam_effort / (f22 * missing),
+            self.design.ticks(self.limits.stall_time_ms),
+            self.limits.stall_effort / (f22 * missing),
         )
-        noticed_s = self.noticing_s(ticks + self.design.ticks(self.limits.jam_time_ms))
-        added = self._gain / self._pole * self.limits.jam_effort * (1.0 + MODEL_ERROR)
+        noticed_s = self.noticing_s(ticks + self.design.ticks(self.limits.stall_time_ms))
+        added = self._gain / self._pole * self.limits.stall_effort * (1.0 + MODEL_ERROR)
         return self.quick_stop(noticed_s, added)
 
     def wrong_encoder(self) -> float:
-        """Return what a reversed sign costs: it is noticed within ten times the innovation limit at that speed."""
-        allowed = 10.0 * self.innovation(self.design.settings.cruise_velocity)
+        """Return what a reversed sign costs: it is noticed within ten times the innovation gate at that speed."""
+        allowed = 10.0 * self.innovation_gate(self.design.settings.cruise_velocity)
         return allowed + self.quick_stop(self.noticing_s(IMPLAUSIBLE_SAMPLES))
 
     def doubled_scale(self) -> float:
@@ -191,7 +193,7 @@ class Budget:
         What it hides is noticed like a reversed sign; meanwhile the axis goes twice as far as it shows, and up to twice
         as fast.
         """
-        allowed = 2.0 * 10.0 * self.innovation(self.design.settings.cruise_velocity)
+        allowed = 2.0 * 10.0 * self.innovation_gate(self.design.settings.cruise_velocity)
         noticed_s = self.noticing_s(IMPLAUSIBLE_SAMPLES)
         return allowed + self.quick_stop(noticed_s, self.reference.peak_speed(noticed_s))
 
@@ -230,8 +232,8 @@ class Budget:
         return max(self.stopping(noticed_s, self.limits.acceleration), self.coasting(noticed_s)) + rest
 
     def moved_while_disabled(self, gates: float) -> float:
-        """Return the way of an axis that something moves by so many innovation limits, as far as its plant is known."""
-        return gates * self.limits.innovation * (1.0 + MODEL_ERROR) / (1.0 - MODEL_ERROR)
+        """Return the way of an axis that something moves by so many innovation gates, as far as its plant is known."""
+        return gates * self.limits.innovation_gate * (1.0 + MODEL_ERROR) / (1.0 - MODEL_ERROR)
 
     def contradicted(self) -> float:
         """Return what a heartbeat costs that contradicts the feedback: it is believed after three times its limit."""

@@ -67,12 +67,12 @@ async def right_or_not_trusted(world: World) -> str | None:
     if not axis.referenced:
         return None
     apart = abs((axis.drive.position or 0.0) - world.drive.position)
-    allowed = axis.settings.limits.innovation
+    allowed = axis.settings.limits.innovation_gate
     return None if apart <= allowed else f"the axis trusts its position, which is off by {apart:.4g}"
 
 
 async def noticed_early(world: World) -> str | None:
-    """Check that the trip came before the axis had gone ten times the innovation limit: 5 mm with 0.5 mm.
+    """Check that the trip came before the axis had gone ten times the innovation gate: 5 mm with 0.5 mm.
 
     On a long tick it goes farther in the samples that it takes, at its cruise velocity: the fault falls before them.
     """
@@ -82,15 +82,15 @@ async def noticed_early(world: World) -> str | None:
     distance = abs(tripped[-1].position - world.fault_place)
     settings = world.axis.settings
     in_samples = (IMPLAUSIBLE_SAMPLES + 1) * world.period_s * settings.cruise_velocity
-    allowed = max(10.0 * settings.limits.innovation, in_samples)
+    allowed = max(10.0 * settings.limits.innovation_gate, in_samples)
     return None if distance <= allowed else f"it was noticed after {distance:.3g}, {allowed:.3g} is allowed"
 
 
-async def within_jam_effort(world: World) -> str | None:
-    """Check that a jam is noticed in its time, and that the effort against it is no more than the law comes to by then.
+async def within_stall_effort(world: World) -> str | None:
+    """Check that a stall trips in its time, and that the effort against it is no more than the law comes to by then.
 
-    It has to be noticed when the effort has changed by the jam effort, or the samples of a jam time show no way, and
-    that has lasted for the jam time; beside that, a sample is read a tick after it was taken, the fault may fall just
+    It has to trip when the effort has changed by the stall effort, or the samples of a stall time show no motion, and
+    that has lasted for the stall time; beside that, a sample is read a tick after it was taken, the fault may fall just
     behind one, and an axis that is only setting out has no way to make in its first tick.
 
     Until then the effort starts from where it was. What stands still gives back the velocity's part, ``f12 x2``, and
@@ -99,26 +99,26 @@ async def within_jam_effort(world: World) -> str | None:
     stop's ramp takes without friction.
     """
     design, limits = world.axis.design, world.axis.settings.limits
-    jam_ticks = design.ticks(limits.jam_time_ms)
+    stall_ticks = design.ticks(limits.stall_time_ms)
     after = [sample for sample in world.samples if sample.time_s > world.begun_s]
     stuck = list(itertools.takewhile(lambda sample: sample.state not in _LATCHED, after))
     if len(stuck) == len(after):
-        return "the jam was not noticed"
+        return "the stall was not noticed"
     before = next(sample for sample in reversed(world.samples) if sample.time_s <= world.begun_s)
     closing = before.state == State.POSITION_STAGE.value
     gains = servo_gains_of(design)
     rise = abs(gains.f22) * (abs(world.target - world.fault_place) if closing else world.velocity)
-    ticks = max(jam_ticks, limits.jam_effort / rise) + jam_ticks + 3.0
+    ticks = max(stall_ticks, limits.stall_effort / rise) + stall_ticks + 3.0
     # While the speed reference is on its ramp, half as much is missing.
     ramp_ticks = 0.0 if closing else world.velocity / limits.acceleration / design.period_s
     if len(stuck) > ticks + 0.5 * ramp_ticks:
-        return f"the jam was noticed after {len(stuck)} ticks, {ticks + 0.5 * ramp_ticks:.1f} are allowed"
+        return f"the stall was noticed after {len(stuck)} ticks, {ticks + 0.5 * ramp_ticks:.1f} are allowed"
     most = abs(before.effort) + 2.0 * abs(gains.f12 * before.velocity) + rise * ticks
     braking = max(most, limits.quick_stop_deceleration / abs(world.axis.settings.plant.gain))
     for samples, allowed in ((stuck, most), (after[len(stuck) :], braking)):
         largest = max((abs(sample.effort) for sample in samples), default=0.0)
         if largest > allowed:
-            return f"the effort against the jam rose to {largest:.4g}, {allowed:.4g} is allowed"
+            return f"the effort against the stall rose to {largest:.4g}, {allowed:.4g} is allowed"
     return None
 
 
@@ -241,7 +241,7 @@ async def still_enabled_is_told(world: World) -> str | None:
 
 async def told_how_far(world: World) -> str | None:
     """Check that motion while the drive is off is told with its distance, and trips nothing."""
-    axis, gate = world.axis, world.axis.settings.limits.innovation
+    axis, gate = world.axis, world.axis.settings.limits.innovation_gate
     if axis.state is State.HOLDING:  # an axis that was armed in the meantime is disarmed once more
         axis.disarm()
         await world.seconds(_PATIENCE_S)

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from twostage_servo.api.request_reading import LONGEST_LINE
 from twostage_servo.axis.state import State
-from twostage_servo.faults.host_faults import stall
+from twostage_servo.faults.host_faults import suspend
 from twostage_servo.faults.world import OPERATOR, World
 from twostage_servo.service.background_server import Priority
 
@@ -51,7 +51,7 @@ def freeze(world: World, random: Random) -> None:
     if world.axis.state is State.DISARMED:
         world.spawn(_hold_requests_up(world))
     else:
-        stall(FREEZE_S)(world, random)
+        suspend(FREEZE_S)(world, random)
     world.spawn(_ask_and_wait(world))
 
 

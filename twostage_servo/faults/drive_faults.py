@@ -10,7 +10,7 @@ from twostage_servo.faults.world import World
 from twostage_servo.timing.ticks import Tick
 
 LARGEST_JUMP = 100.0
-"""How far an encoder jumps at most, as a multiple of the innovation limit."""
+"""How far an encoder jumps at most, as a multiple of the innovation gate."""
 
 WEAKNESS = 0.95
 """Share of the velocity that a plant which is too weak reaches at the effort limit."""
@@ -19,7 +19,7 @@ FAULT_STATE = "fault"
 """What a heartbeat says that contradicts its feedback, in the terms of CiA 402."""
 
 CREEP_GATES = 4.0
-"""How far an axis moves while its drive is off, as a multiple of the innovation limit."""
+"""How far an axis moves while its drive is off, as a multiple of the innovation gate."""
 
 Injection = Callable[[World, Random], None]
 
@@ -32,7 +32,7 @@ def frozen(world: World, _: Random) -> None:
 
 def spike(world: World, random: Random) -> None:
     """Let one sample be far off."""
-    height = random.choice((-1.0, 1.0)) * random.uniform(20.0, 200.0) * world.axis.settings.limits.innovation
+    height = random.choice((-1.0, 1.0)) * random.uniform(20.0, 200.0) * world.axis.settings.limits.innovation_gate
     left = 1
 
     def measure(position: float) -> float:
@@ -46,9 +46,11 @@ def spike(world: World, random: Random) -> None:
 def jump(world: World, random: Random) -> None:
     """Let all samples be off by the same from now on."""
     limits = world.axis.settings.limits
-    size = random.choice((-1.0, 1.0)) * random.uniform(4.0, LARGEST_JUMP) * limits.innovation
+    size = random.choice((-1.0, 1.0)) * random.uniform(4.0, LARGEST_JUMP) * limits.innovation_gate
     # While nothing drives the axis a hand may push it as far.
-    pushed = 0.0 if world.axis.state in DRIVEN else 3.0 * world.period_s * limits.overspeed + 2.0 * limits.innovation
+    pushed = (
+        0.0 if world.axis.state in DRIVEN else 3.0 * world.period_s * limits.overspeed + 2.0 * limits.innovation_gate
+    )
     height = math.copysign(max(abs(size), pushed), size)
     world.change(measure=lambda position: position + height)
 
@@ -121,9 +123,9 @@ def too_weak(world: World, _: Random) -> None:
     world.change(gain_factor=WEAKNESS * needed / limits.effort)
 
 
-def jam(world: World, _: Random) -> None:
+def stall(world: World, _: Random) -> None:
     """Let the axis stand still at once."""
-    world.change(jammed=True)
+    world.change(stalled=True)
 
 
 def load_step(world: World, random: Random) -> None:
@@ -140,11 +142,11 @@ def tolerable_load(world: World) -> float:
 
 
 def another_plant(world: World, random: Random) -> None:
-    """Let gain and pole change by up to 20 %, and friction come up to a tenth of the jam effort."""
+    """Let gain and pole change by up to 20 %, and friction come up to a tenth of the stall effort."""
     world.change(
         gain_factor=random.uniform(0.8, 1.2),
         pole_factor=random.uniform(0.8, 1.2),
-        coulomb_friction=0.1 * world.axis.settings.limits.jam_effort,
+        coulomb_friction=0.1 * world.axis.settings.limits.stall_effort,
     )
 
 
@@ -193,10 +195,10 @@ def moves_while_disabled(world: World, _: Random) -> None:
 
 
 def creep(world: World) -> None:
-    """Let the axis move at half the speed that counts as standstill, for some widths of the innovation limit."""
+    """Let the axis move at half the speed that counts as standstill, for some widths of the innovation gate."""
     settings, speed = world.axis.settings, 0.5 * world.axis.design.rest_velocity
     world.change(effort_while_disabled=world.heading * speed * settings.plant.pole / settings.plant.gain)
-    world.later(CREEP_GATES * settings.limits.innovation / speed, lambda: world.change(effort_while_disabled=0.0))
+    world.later(CREEP_GATES * settings.limits.innovation_gate / speed, lambda: world.change(effort_while_disabled=0.0))
 
 
 def contradiction(world: World, _: Random) -> None:

@@ -30,8 +30,8 @@ LATEST_TICK = 0.9
 ANOTHER = "another operator"
 
 
-def stall(duration_s: float) -> Injection:
-    """Hold the host up once, for a time in s."""
+def suspend(duration_s: float) -> Injection:
+    """Suspend the host once, for a time in s."""
 
     def inject(world: World, _: Random) -> None:
         left = [duration_s]
@@ -40,11 +40,11 @@ def stall(duration_s: float) -> Injection:
     return inject
 
 
-def after_a_stall(duration_s: float, tick_s: float, missed_ticks_allowed: int, command_timeout_s: float) -> Reaction:
-    """Return what a stall has to come to by the limits, in an armed axis.
+def after_suspension(duration_s: float, tick_s: float, missed_ticks_allowed: int, command_timeout_s: float) -> Reaction:
+    """Return the reaction of an armed axis that its limits ask for when the host is suspended.
 
     A drive that hears nothing for longer than its time-out has disabled itself, whatever the service makes of the ticks
-    that it has missed; the last command before a stall is up to a tick older than the stall.
+    that it has missed; the last command is up to a tick older than the suspension.
     """
     if duration_s + tick_s > command_timeout_s:
         return Reaction.DISABLE

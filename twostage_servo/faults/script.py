@@ -226,7 +226,8 @@ class Script:
             if not await self._try_to_arm(world):
                 return
             if world.axis.state is State.HOLDING:
-                # Arming catches an axis that seems to move, as after a stall, by the noise of two samples: no reaction.
+                # Arming catches an axis that seems to move by the noise of two samples, as after a suspension: no
+                # reaction.
                 self._states_before = len(world.samples)
             await self._move(world)
         elif self._phase is Phase.HOLDING:

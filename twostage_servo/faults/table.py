@@ -32,7 +32,7 @@ from twostage_servo.faults.checks import (
     still_seen,
     told_how_far,
     told_in_time,
-    within_jam_effort,
+    within_stall_effort,
 )
 from twostage_servo.faults.frames import protocol_of
 from twostage_servo.faults.limits import Limit, either, hidden_by_noise, looks_like_the_model, too_slow
@@ -236,9 +236,9 @@ def _contradicts(profile: DriveProfile, _: ProtocolSettings) -> bool:
     }
 
 
-def _stalled(duration_s: float) -> Bound:
+def _suspended_travel(duration_s: float) -> Bound:
     def bound(budget: Budget) -> float:
-        match host_faults.after_a_stall(
+        match host_faults.after_suspension(
             duration_s, budget.tick_s, budget.limits.missed_ticks, budget.command_timeout_s
         ):
             case Reaction.DISABLE:
@@ -250,11 +250,11 @@ def _stalled(duration_s: float) -> Bound:
     return bound
 
 
-def _stalls(duration_s: float) -> Expected:
-    """Expect what the missed ticks and the drive's own time-out make of a stall; a disarmed axis misses nothing."""
+def _suspended(duration_s: float) -> Expected:
+    """Expect what missed ticks and the drive's own time-out make of a suspended host; disarmed, nothing is missed."""
 
     def expected(config: Config, phase: Phase) -> str:
-        reaction = host_faults.after_a_stall(
+        reaction = host_faults.after_suspension(
             duration_s,
             config.service.tick_ms / 1e3,
             config.axis.limits.missed_ticks,
@@ -266,7 +266,7 @@ def _stalls(duration_s: float) -> Expected:
 
 
 def _unheard(config: Config, phase: Phase) -> str:
-    """Expect that a drive which hears nothing is told by its time-out; one that never says it is enabled, by a jam."""
+    """Expect that a drive which hears nothing is told by its time-out; one that never says it is enabled by a stall."""
     never_enabled = phase is Phase.IDLE and protocol_of(config).feedback.enabled is False
     return QUICK if never_enabled else DISABLED
 
@@ -385,7 +385,7 @@ TABLE: tuple[Fault, ...] = (
           lambda budget: budget.unreachable_speed(_D.WEAKNESS),
           idle=STOPPED, velocity_limit=True, check=told_in_time, why_not=_ample_effort,
           phases=(Phase.IDLE, Phase.ACCELERATING, Phase.CRUISING, Phase.HOLDING)),
-    Fault(30, "jam", _D.jam, QUICK, _unnoticed, idle=QUICK, again=True, check=within_jam_effort),
+    Fault(30, "stall", _D.stall, QUICK, _unnoticed, idle=QUICK, again=True, check=within_stall_effort),
     Fault(31, "a load steps", _D.load_step, TOLERATED, _followed, phases=ARMED, check=arrived),
     Fault(32, "gain and pole 20 % off, friction", _D.another_plant, TOLERATED, _followed, check=arrived),
     Fault(33, "safe torque off", _D.safe_torque_off, DISABLED, _at_once, check=still_seen,
@@ -396,11 +396,11 @@ TABLE: tuple[Fault, ...] = (
     Fault(35, "heartbeat stops", _D.heartbeat_stops, DISABLED, _heartbeat,
           needs=lambda profile, _: profile.heartbeat_id is not None, reason="the drive has no heartbeat"),
     # The host
-    Fault(36, "host held up for 15 ms", _H.stall(0.015), _stalls(0.015), _stalled(0.015)),
-    Fault(36, "host held up for 50 ms", _H.stall(0.050), _stalls(0.050), _stalled(0.050), idle_bound=_bridged,
-          phases=EVERYWHERE, shared=True),
-    Fault(36, "host held up for 500 ms", _H.stall(0.500), _stalls(0.500), _stalled(0.500), idle_bound=_bridged,
-          phases=EVERYWHERE, shared=True,
+    Fault(36, "host held up for 15 ms", _H.suspend(0.015), _suspended(0.015), _suspended_travel(0.015)),
+    Fault(36, "host held up for 50 ms", _H.suspend(0.050), _suspended(0.050), _suspended_travel(0.050),
+          idle_bound=_bridged, phases=EVERYWHERE, shared=True),
+    Fault(36, "host held up for 500 ms", _H.suspend(0.500), _suspended(0.500), _suspended_travel(0.500),
+          idle_bound=_bridged, phases=EVERYWHERE, shared=True,
           note="longer than the drive waits for commands: it has disabled itself when the missed ticks are noticed"),
     # The tick in which the defect shows sends no command.
     Fault(40, "a defect in the loop", _H.defect, QUICK,
@@ -441,8 +441,8 @@ TABLE: tuple[Fault, ...] = (
           phases=EVERYWHERE, check=client_faults.serves_others),
     Fault(60, "heavy lines from 55 clients", client_faults.heavy_lines, TOLERATED, _unnoticed,
           phases=EVERYWHERE, check=client_faults.serves_others),
-    Fault(66, "old request after a freeze", client_faults.freeze, _stalls(client_faults.FREEZE_S),
-          _stalled(client_faults.FREEZE_S), phases=EVERYWHERE, check=client_faults.has_expired, shared=True),
+    Fault(66, "old request after a freeze", client_faults.freeze, _suspended(client_faults.FREEZE_S),
+          _suspended_travel(client_faults.FREEZE_S), phases=EVERYWHERE, check=client_faults.has_expired, shared=True),
     # The process
     *(
         Fault(61, f"signal {number.name}, twice", _R.receive(number), _after_a_signal, _ended,

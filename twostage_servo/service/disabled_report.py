@@ -49,7 +49,7 @@ class DisabledReport:
         if moved is None:
             self._moved = None
             return
-        limit = axis.settings.limits.innovation
+        limit = axis.settings.limits.innovation_gate
         if self._moved is None or (tick_index >= self._next_motion and abs(moved - self._moved) > limit):
             self._moved, self._next_motion = moved, tick_index + self._every
             text = "the axis moves while its drive is told to be disabled"

@@ -46,8 +46,8 @@ class SimulatedDrive:
     """A drive on its bus: obeys fresh commands, reports its position, and stops by itself when commands cease.
 
     It starts disabled, and only a rising edge of Enable (a command without it, then one with it) enables it: after the
-    start as after a command time-out. So neither a rebooted drive nor a controller that stalled and resumes moves the
-    axis without somebody's fresh wish. A command without Enable acts at once, whatever the transport delay, and clears
+    start as after a command time-out. So neither a rebooted drive nor a controller that was suspended and resumes moves
+    the axis without a fresh command. A command without Enable acts at once, whatever the transport delay, and clears
     the fault, if its cause is gone.
 
     Between two events (an effort that arrives, the load that sets in, a time-out) the plant is advanced exactly, and

@@ -39,7 +39,7 @@ class DriveFaults:
         Effort that acts while the drive is disabled and says so, effort unit.
     effort_limit : float or None
         Largest magnitude of the effort that really acts, effort unit; not negative. None: whatever is commanded.
-    jammed : bool
+    stalled : bool
         The axis stands still at once, and stays there.
     load : float
         Load in addition to that of the settings, effort unit.
@@ -61,7 +61,7 @@ class DriveFaults:
     stays_enabled: bool = False
     effort_while_disabled: float = 0.0
     effort_limit: float | None = None
-    jammed: bool = False
+    stalled: bool = False
     load: float = 0.0
     gain_factor: float = 1.0
     pole_factor: float = 1.0

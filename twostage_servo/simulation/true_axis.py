@@ -68,7 +68,7 @@ class TrueAxis:
         """
         friction = self._settings.coulomb_friction if faults.coulomb_friction is None else faults.coulomb_friction
         self._plant.change(self._settings.gain * faults.gain_factor, self._settings.pole * faults.pole_factor, friction)
-        if faults.jammed:
+        if faults.stalled:
             self._plant.velocity = 0.0
         self._faults = faults
 
@@ -100,7 +100,7 @@ class TrueAxis:
     def _move(self, until_s: float, effort: float) -> None:
         if until_s == self._now_s:
             return
-        if not self._faults.jammed:
+        if not self._faults.stalled:
             start = self._plant.position
             stop = self._plant.advance(until_s - self._now_s, effort - self._load - self._faults.load)
             if self._settings.index_at is not None:

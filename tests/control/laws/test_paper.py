@@ -291,7 +291,7 @@ def test_saturation_does_not_wind_up() -> None:
     assert limited.position == pytest.approx(400.0, abs=0.01)
 
 
-def test_a_jam_is_left_without_a_surge() -> None:
+def test_a_stall_is_left_without_a_surge() -> None:
     run = Run(make_law())
     run.law.set_target(400.0, 100.0)
     run.seconds(1.0)
@@ -338,7 +338,7 @@ def test_a_stop_brakes_and_holds_where_it_comes_to_rest(after_s: float) -> None:
 
 
 def test_skipped_periods_are_predicted() -> None:
-    """A stall of 5 ticks at constant speed: the estimate is where the axis is, not where it was."""
+    """A host suspended for 5 ticks at constant speed: the estimate is where the axis is, not where it was."""
     run = Run(make_law())
     run.law.set_target(400.0, 100.0)
     run.seconds(2.0)

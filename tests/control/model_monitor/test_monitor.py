@@ -84,7 +84,7 @@ def test_a_load_whose_first_sample_looks_like_a_part_of_a_change_decides_nothing
 @settings(max_examples=30, deadline=None)
 @given(load=st.floats(-2.0, 2.0), effort=st.floats(-10.0, 10.0), gap=st.integers(1, 40))
 def test_an_estimate_that_a_load_has_just_put_off_decides_nothing(load: float, effort: float, gap: int) -> None:
-    """Two loads after each other, nearly the jam effort: the second meets a velocity unknown to the model."""
+    """Two loads after each other, nearly the stall effort: the second meets a velocity unknown to the model."""
     bench = Bench(1.0)
     bench.run([effort * min(1.0, n / 30.0) for n in range(120)])
     bench.verdicts.clear()

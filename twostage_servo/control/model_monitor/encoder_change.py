@@ -49,7 +49,7 @@ was right before. A load that has just stepped makes an estimate that is not."""
 JUMP_SHARE: Final = 0.5
 """Share of the surprise below which nothing is decided that a change has to make within the nominal tick. For an
 encoder that stands still twice as much: what moves slowly comes to rest by friction or a load just as well, and only
-the effort can tell (axis.limits.jam_effort)."""
+the effort can tell (axis.limits.stall_effort)."""
 
 
 class Reckoning(NamedTuple):

@@ -235,7 +235,7 @@ class ModelMonitor:
         """Whether an encoder that stands still explains the samples by far, however it has come to stand.
 
         What moved slowly may have come to rest by friction or a load as well: only an effort that has changed by much
-        since makes it a jam, or a fault of the encoder.
+        since makes it a stall, or a fault of the encoder.
         """
         likeliest = max(self._changes, key=EncoderChange.evidence)
         return likeliest.factor == 0.0 and likeliest.explains(self._least, self._sum, self._noise_square)

@@ -1,4 +1,4 @@
-"""A tick after a stall of any length does a bounded amount of work."""
+"""A tick after a suspension of any length does a bounded amount of work."""
 
 import pytest
 from hypothesis import given
