@@ -9,7 +9,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import IO, TextIO
 
-from twostage_servo.cli import demo, engineer, faults, host, install_service, operate, paper, serve
+from twostage_servo.cli import operate
 from twostage_servo.cli.output import CommandError, ExitCode, note, print_json
 from twostage_servo.printable import printable
 from twostage_servo.version import __version__
@@ -28,8 +28,14 @@ class _Parser(argparse.ArgumentParser):
         super()._print_message(printable(message), file)
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command line."""
+def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
+    """Return the parser of the whole command line.
+
+    Parameters
+    ----------
+    verb
+        The one that is going to be parsed, if that is known: with one of the operator's, no other is declared.
+    """
     parser = _Parser(
         prog="twostage-servo",
         description="Two-stage servo control over CAN: the service, its simulated drive, and the commands to both.",
@@ -38,6 +44,11 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"twostage-servo {__version__}")
     verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    if verb in operate.VERBS:
+        operate.add_verbs(verbs, verb)
+        return parser
+    from twostage_servo.cli import demo, engineer, faults, host, install_service, paper, serve
+
     for group in (demo, serve, engineer, host, faults, paper, operate, install_service):
         group.add_verbs(verbs)
     return parser
@@ -48,12 +59,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _prepare_streams()
     # Our matrices are of order 6 at most: numpy's threads would only wait for each other, and for a busy core.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    parser = build_parser()
     if "_ARGCOMPLETE" in os.environ:
         import argcomplete
 
-        argcomplete.autocomplete(parser)
-    options = parser.parse_args(arguments)
+        argcomplete.autocomplete(build_parser())
+    given = sys.argv[1:] if arguments is None else arguments
+    options = build_parser(given[0] if given else None).parse_args(given)
     try:
         return int(options.run(options))
     except CommandError as error:

@@ -3,25 +3,47 @@
 import argparse
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from twostage_servo.cli.typed_numbers import decimal, whole
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
     from twostage_servo.cli.output import ExitCode
 
+    _Verbs: TypeAlias = "argparse._SubParsersAction[Any]"
 
-def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
-    """Declare the verbs."""
+
+def add_verbs(verbs: "_Verbs", only: str | None = None) -> None:
+    """Declare the verbs, or only the one that is wanted: what is called by hand and in scripts is quick."""
+    for verb, add in VERBS.items():
+        if only in (None, verb):
+            add(verbs)
+
+
+def _add_status(verbs: "_Verbs") -> None:
     status = _verb(verbs, "status", "show the state of service and axis")
     status.add_argument(
         "--recording", type=Path, metavar="FILE", help="write the last ticks, or those before the trip, to a CSV file"
     )
+
+
+def _add_watch(verbs: "_Verbs") -> None:
     watch = _verb(verbs, "watch", "follow the axis live")
     watch.add_argument("--every", type=whole, default=10, metavar="TICKS", help="ticks between two lines (default 10)")
     watch.add_argument("--count", type=whole, metavar="N", help="end after N lines")
+
+
+def _add_arm(verbs: "_Verbs") -> None:
     _verb(verbs, "arm", "enable the drive and hold the position at which the axis is")
+
+
+def _add_disarm(verbs: "_Verbs") -> None:
     _verb(verbs, "disarm", "bring the axis to rest and disable the drive")
+
+
+def _add_move(verbs: "_Verbs") -> None:
     move = _verb(verbs, "move", "move to a set-point")
     move._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - argparse takes -1e3 for an option
     move.add_argument(
@@ -33,26 +55,59 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     move.add_argument("--by", type=decimal, metavar="DISTANCE", help="relative to the set-point in force")
     move.add_argument("--velocity", type=decimal, help="cruise velocity (default: the config's axis.cruise_velocity)")
     move.add_argument("--wait", action="store_true", help="show progress until the position is reached")
+
+
+def _add_jog(verbs: "_Verbs") -> None:
     jog = _verb(verbs, "jog", "move for as long as this command runs, or for a time")
     jog._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
     jog.add_argument("velocity", type=decimal, help="velocity, whose sign is the direction")
     jog.add_argument("--seconds", type=decimal, metavar="S", help="end after S seconds (default: at Ctrl-C)")
+
+
+def _add_home(verbs: "_Verbs") -> None:
     home = _verb(verbs, "home", "find the reference from which positions are counted")
     home._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
     home.add_argument(
         "--here", type=decimal, metavar="POSITION", help="do not search: the axis stands at this position now"
     )
+
+
+def _add_stop(verbs: "_Verbs") -> None:
     stop = _verb(verbs, "stop", "bring the axis, or all axes, to rest and hold them there, whoever commands them")
     stop.add_argument("--quick", action="store_true", help="with the quick stop deceleration")
+
+
+def _add_reset(verbs: "_Verbs") -> None:
     _verb(verbs, "reset", "clear a trip; the axis is disarmed afterwards")
+
+
+def _add_release(verbs: "_Verbs") -> None:
     release = _verb(verbs, "release", "give one's own control authority back")
     release.add_argument(
         "--force", action="store_true", help="take it from whoever holds it, while the axis is at rest"
     )
+
+
+def _add_reload(verbs: "_Verbs") -> None:
     _verb(verbs, "reload", "let the service read its configuration again, while the axis is disarmed")
 
 
-def _verb(verbs: Any, name: str, text: str) -> argparse.ArgumentParser:
+VERBS: "Final[Mapping[str, Callable[[_Verbs], None]]]" = {
+    "status": _add_status,
+    "watch": _add_watch,
+    "arm": _add_arm,
+    "disarm": _add_disarm,
+    "move": _add_move,
+    "jog": _add_jog,
+    "home": _add_home,
+    "stop": _add_stop,
+    "reset": _add_reset,
+    "release": _add_release,
+    "reload": _add_reload,
+}
+
+
+def _verb(verbs: "_Verbs", name: str, text: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     if name not in {"release", "reload"}:
         parser.add_argument("--axis", metavar="NAME", help="which axis, where the service has several")
