@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from twostage_servo.cli.output import ExitCode
 
-    _Verbs: TypeAlias = "argparse._SubParsersAction[Any]"
+    _Verbs: TypeAlias = "argparse._SubParsersAction[Any]"  # noqa: SLF001 - argparse has no public name for it
 
 
 def add_verbs(verbs: "_Verbs", only: str | None = None) -> None:
