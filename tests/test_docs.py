@@ -100,7 +100,7 @@ def test_every_request_state_and_field_is_in_the_page_on_the_control_socket() ->
     snapshot = ServiceHarness(parts, Runtime(Ticks(parts.period_s))).snapshot()
     groups = {name for name, value in snapshot.items() if isinstance(value, dict)} | {"move", "trip", "realtime"}
     assert set(re.findall(r"^\| `(\w+)` \|", section("The snapshot"), re.MULTILINE)) == groups
-    for name in (*snapshot["inputs"], *snapshot["lease"], "rejected_by_reason", "file_error", "escalation"):
+    for name in (*snapshot["inputs"], *snapshot["authority"], "rejected_by_reason", "file_error", "escalation"):
         assert f"`{name}`" in CONTROL_SOCKET
 
 

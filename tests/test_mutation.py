@@ -278,16 +278,20 @@ def test_only_files_of_tests_that_have_changed_are_run_unmutated_again(counted: 
 
 
 def test_the_tests_that_bear_the_name_go_first_then_the_quickest_as_long_as_there_is_time() -> None:
-    named, quick, slow, other = "t/test_lease.py::a", "t/test_x.py::b", "t/test_x.py::c", "t/test_x.py::d"
+    named, quick, slow, other = "t/test_authority.py::a", "t/test_x.py::b", "t/test_x.py::c", "t/test_x.py::d"
     took_s = {named: 3.0, quick: 1.0, slow: 5.0, other: 0.1}
-    calls = {"service/lease.py:take": [slow, quick, named], "service/lease.py:f": [quick]}
+    calls = {"service/authority.py:preempt": [slow, quick, named], "service/authority.py:f": [quick]}
     reach = Reach(took_s, calls, frozenset())
-    assert reach.chosen("service/lease.py", "take", 100.0) == [named, quick, slow]
-    assert reach.chosen("service/lease.py", "take", 4.5) == [named, quick]
-    assert reach.chosen("service/lease.py", "take", 0.0) == [named]
+    assert reach.chosen("service/authority.py", "preempt", 100.0) == [named, quick, slow]
+    assert reach.chosen("service/authority.py", "preempt", 4.5) == [named, quick]
+    assert reach.chosen("service/authority.py", "preempt", 0.0) == [named]
     calls["service/loop.py:f"] = [slow, named, "t/test_loop.py::e", other]
     took_s["t/test_loop.py::e"] = 9.0
     importing = Reach(took_s, calls, frozenset(), {"t/test_x.py": ["service.loop"]})
     assert importing.chosen("service/loop.py", "f", 100.0) == ["t/test_loop.py::e", other, slow, named]
-    assert reach.chosen("service/lease.py", "", 100.0) == [named, quick, slow]  # outside functions: all of the file's
-    assert reach.chosen("service/lease.py", "in_another_process", 100.0) == [named, quick, slow]
+    assert reach.chosen("service/authority.py", "", 100.0) == [
+        named,
+        quick,
+        slow,
+    ]  # outside functions: all of the file's
+    assert reach.chosen("service/authority.py", "in_another_process", 100.0) == [named, quick, slow]

@@ -15,13 +15,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from twostage_servo.api.status import (
+    AuthorityStatus,
     AxisReport,
     AxisStatus,
     BusStatus,
     DriveStatus,
     FrameStatus,
     InputStatus,
-    LeaseStatus,
     ServiceStatus,
     Status,
     TickStatus,
@@ -138,7 +138,7 @@ def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -
         bus=BusStatus(channel=text, open=False, error=text, drive_state=None, controller=text, error_counters=None),
     )  # fmt: skip
     service = ServiceStatus(
-        version=text, pid=1, uptime_s=0.0, lease=LeaseStatus(holder=text), realtime=None,
+        version=text, pid=1, uptime_s=0.0, authority=AuthorityStatus(holder=text), realtime=None,
         ticks=TickStatus(count=1, missed=0, lateness_us=times, lateness_histogram=[], duration_us={"whole": times}),
     )  # fmt: skip
     status = Status(service=service, axes={text: report})

@@ -391,7 +391,7 @@ def test_watch_ends_after_its_count(machine: Machine) -> None:
     assert counts == sorted(set(counts))
 
 
-# The lease, and what goes on when an operator leaves ------------------------------------------------------------------
+# Control authority, and what goes on when an operator leaves ----------------------------------------------------------
 
 
 def test_one_operator_commands_and_the_others_watch_or_stop(machine: Machine) -> None:
@@ -403,17 +403,17 @@ def test_one_operator_commands_and_the_others_watch_or_stop(machine: Machine) ->
     assert holder.ask(op="move", position=2000.0, velocity=60.0)["ok"]
     machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 50.0)
     refused = machine.ask("move", "0", exit_code=3)["error"]
-    assert refused["code"] == "lease_held"
+    assert refused["code"] == "authority_held"
     assert str(os.getpid()) in refused["message"]
     assert "release --force" in refused["message"]
-    assert machine.ask("release", exit_code=3)["error"]["code"] == "lease_held"
+    assert machine.ask("release", exit_code=3)["error"]["code"] == "authority_held"
     assert machine.ask("release", "--force", exit_code=3)["error"]["code"] == "busy"
-    assert str(os.getpid()) in machine.ask("status")["lease"]["holder"]
+    assert str(os.getpid()) in machine.ask("status")["authority"]["holder"]
     assert machine.ask("stop")["axis"]["state"] == "holding"
-    assert machine.ask("release", "--force")["lease"] == {"holder": None}
-    assert machine.ask("release")["lease"] == {"holder": None}
+    assert machine.ask("release", "--force")["authority"] == {"holder": None}
+    assert machine.ask("release")["authority"] == {"holder": None}
     assert machine.ask("move", "--by", "-10", "--wait")["move"]["outcome"] == "reached"
-    assert holder.ask(op="move", position=0.0)["ok"]  # each verb has given the lease back as it left
+    assert holder.ask(op="move", position=0.0)["ok"]  # each verb has released authority as it left
     holder.close()
 
 
@@ -424,7 +424,7 @@ def test_a_move_goes_on_after_its_command_has_left(machine: Machine) -> None:
     assert machine.ask("move", "100")["move"]["outcome"] == "moving"
     reached = machine.watch_until(lambda status: status["move"]["outcome"] != "moving")
     assert reached["move"]["outcome"] == "reached"
-    assert reached["lease"] == {"holder": None}
+    assert reached["authority"] == {"holder": None}
 
 
 def test_a_command_that_is_killed_in_mid_move_falls_under_the_policy(machine: Machine) -> None:

@@ -66,8 +66,8 @@ def test_leaving_gives_authority_back_and_what_was_asked_for_goes_on(tmp_path: P
         async with twostage_servo.connect_async(path) as axis:
             await axis.arm()
             await axis.move(200.0)
-            assert world.loop.snapshot()["lease"]["holder"] is not None
-        assert world.loop.snapshot()["lease"]["holder"] is None
+            assert world.loop.snapshot()["authority"]["holder"] is not None
+        assert world.loop.snapshot()["authority"]["holder"] is None
         assert world.state() in MOVING
 
     serve(path, script)
@@ -89,7 +89,7 @@ def test_an_error_in_the_block_stops_the_axis_before_authority_is_given_back(
         with pytest.raises(type(error)):
             await slip()
         assert world.state() is State.STOPPING
-        assert world.loop.snapshot()["lease"]["holder"] is None
+        assert world.loop.snapshot()["authority"]["holder"] is None
         move = world.axis.move
         assert move is not None
         assert move.outcome is MoveOutcome.STOPPED
@@ -107,12 +107,12 @@ def test_who_has_no_authority_stops_nobody_by_an_error(tmp_path: Path) -> None:
             with pytest.raises(twostage_servo.Refused, match="`release --force`") as refused:
                 async with twostage_servo.connect_async(path) as second:
                     await second.move(0.0)
-            assert refused.value.code is RefusalCode.LEASE_HELD
+            assert refused.value.code is RefusalCode.AUTHORITY_HELD
             assert world.state() in MOVING
             with pytest.raises(twostage_servo.Refused) as refused:
                 async with twostage_servo.connect_async(path) as second:
                     await second.acquire()
-            assert refused.value.code is RefusalCode.LEASE_HELD
+            assert refused.value.code is RefusalCode.AUTHORITY_HELD
             await first.wait_until_reached()
             async with twostage_servo.connect_async(path) as second:
                 await second.acquire(preempt=True)

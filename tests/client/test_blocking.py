@@ -157,7 +157,7 @@ def test_an_error_stops_the_axis_unless_another_has_authority_by_then(
 ) -> None:
     def slip() -> None:
         with script.connect() as client:
-            script.answers(done(lease=ME), done(lease={"holder": holder}), done(lease=ME), done())
+            script.answers(done(authority=ME), done(authority={"holder": holder}), done(authority=ME), done())
             client.move(1.0)
             client.status()
             raise RuntimeError

@@ -29,7 +29,7 @@ FIELDS: Final[dict[str, str]] = {
     "this lasts, and has not tripped the axis": "axis tick code cause next_action",
     "the axis moves while its drive is told to be disabled": "axis tick moved unit",
     "another axis has tripped": "room axis tripped now",
-    "the lease's holder has gone": "axis client policy",
+    "the holder of control authority has gone": "axis client policy",
     # A bus
     "the bus is open": "bus interface",
     "the bus failed": "bus error",

@@ -37,26 +37,26 @@ def outcome(world: World) -> tuple[str, str | None]:
     return world.axis.move.outcome, world.axis.move.reason
 
 
-# The lease ------------------------------------------------------------------------------------------------------------
+# Control authority ----------------------------------------------------------------------------------------------------
 
 
-def test_the_one_who_commands_holds_the_lease_and_the_rest_watch(path: Path) -> None:
+def test_the_one_who_commands_holds_authority_and_the_rest_watch(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         first, second, watcher = [await connect(path) for _ in range(3)]
         for reader, request in ((second, {"op": "status"}), (second, {"op": "recording"}), (watcher, {"op": "watch"})):
             await reader.done(**request)
-            assert (await first.done(op="status"))["lease"] == {"holder": None}
-        holder = (await first.done(op="arm"))["lease"]["holder"]
+            assert (await first.done(op="status"))["authority"] == {"holder": None}
+        holder = (await first.done(op="arm"))["authority"]["holder"]
         assert re.fullmatch(r"pid \d+ uid \d+ #1", holder)
         await world.until(lambda: world.state() is State.HOLDING)
         await first.done(op="move", position=400.0)
         for request in COMMANDS:
             answer = await second.ask(**request)
-            assert answer["error"]["code"] == "lease_held", request
+            assert answer["error"]["code"] == "authority_held", request
             assert holder in answer["error"]["message"]
         await world.seconds(0.5)
         assert outcome(world) == ("moving", None)
-        assert (await second.done(op="status"))["lease"]["holder"] == holder
+        assert (await second.done(op="status"))["authority"]["holder"] == holder
 
     serve(path, script)
 
@@ -74,8 +74,8 @@ def test_everybody_may_bring_the_axis_to_rest(path: Path, request_: dict[str, An
         first, second = await commanding(world, path), await connect(path)
         answer = await second.done(**request_)
         assert answer["axis"]["state"] == state
-        assert answer["lease"]["holder"].endswith("#1")  # and does not command from then on
-        assert await second.refused(op="move", position=0.0) == "lease_held"
+        assert answer["authority"]["holder"].endswith("#1")  # and does not command from then on
+        assert await second.refused(op="move", position=0.0) == "authority_held"
         rest = State.DISARMED if state is State.DISARMING else State.HOLDING
         await world.until(lambda: world.state() is rest)
         assert outcome(world) == ("stopped", None)
@@ -85,29 +85,29 @@ def test_everybody_may_bring_the_axis_to_rest(path: Path, request_: dict[str, An
     serve(path, script)
 
 
-def test_a_lease_that_is_given_back_can_be_had_and_the_move_goes_on(path: Path) -> None:
+def test_authority_that_is_released_can_be_acquired_and_the_move_goes_on(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         first, second = await commanding(world, path), await connect(path)
         await second.done(op="release")  # changes nothing: it is not theirs
-        assert await second.refused(op="move", position=0.0) == "lease_held"
-        assert (await first.done(op="release"))["lease"] == {"holder": None}
+        assert await second.refused(op="move", position=0.0) == "authority_held"
+        assert (await first.done(op="release"))["authority"] == {"holder": None}
         assert outcome(world) == ("moving", None)
         await second.done(op="move", position=50.0)
-        assert await first.refused(op="move", position=0.0) == "lease_held"
+        assert await first.refused(op="move", position=0.0) == "authority_held"
         await world.until(lambda: outcome(world)[0] == "reached")
 
     serve(path, script)
 
 
-def test_the_lease_can_be_taken_at_rest_but_not_in_motion(path: Path) -> None:
+def test_authority_can_be_preempted_at_rest_but_not_in_motion(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         first, second = await commanding(world, path), await connect(path)
         assert await second.refused(op="take") == "busy"
         await second.done(op="stop")
         assert await second.refused(op="take") == "busy"  # still braking
         await world.until(lambda: world.state() is State.HOLDING)
-        assert (await second.done(op="take"))["lease"]["holder"].endswith("#2")
-        assert await first.refused(op="move", position=0.0) == "lease_held"
+        assert (await second.done(op="take"))["authority"]["holder"].endswith("#2")
+        assert await first.refused(op="move", position=0.0) == "authority_held"
         await second.done(op="move", position=0.0)
         await second.done(op="take")  # it is theirs already, also in motion
         await second.done(op="release")
@@ -118,7 +118,7 @@ def test_the_lease_can_be_taken_at_rest_but_not_in_motion(path: Path) -> None:
 
 
 @pytest.mark.parametrize("request_", [{"op": "jog", "velocity": 10.0}, {"op": "home"}])
-def test_a_lease_is_not_taken_from_one_who_jogs_or_homes(path: Path, request_: dict[str, Any]) -> None:
+def test_authority_is_not_preempted_from_one_who_jogs_or_homes(path: Path, request_: dict[str, Any]) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         first, second = await connect(path), await connect(path)
         await first.done(op="arm")
@@ -131,18 +131,18 @@ def test_a_lease_is_not_taken_from_one_who_jogs_or_homes(path: Path, request_: d
     )
 
 
-def test_a_refused_command_takes_no_lease_and_loses_none(path: Path) -> None:
+def test_a_refused_command_acquires_no_authority_and_loses_none(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         first, second = await connect(path), await connect(path)
         for request in ({"op": "move", "position": 0.0}, {"op": "jog", "velocity": 1.0}, {"op": "reload"}):
             assert await first.refused(**request) in {"disarmed", "no_configuration"}
-            assert (await first.done(op="status"))["lease"]["holder"] is None
+            assert (await first.done(op="status"))["authority"]["holder"] is None
         await second.done(op="arm")
         await world.until(lambda: world.state() is State.HOLDING)
-        holder = (await second.done(op="status"))["lease"]["holder"]
+        holder = (await second.done(op="status"))["authority"]["holder"]
         assert await second.refused(op="move", position=3000.0) == "position_limit"
-        assert (await first.done(op="status"))["lease"]["holder"] == holder
-        assert await first.refused(op="arm") == "lease_held"
+        assert (await first.done(op="status"))["authority"]["holder"] == holder
+        assert await first.refused(op="arm") == "authority_held"
         second.writer.close()
         await second.writer.wait_closed()
         await world.seconds(0.01)
@@ -151,7 +151,7 @@ def test_a_refused_command_takes_no_lease_and_loses_none(path: Path) -> None:
         await first.done(op="arm")
 
 
-def test_a_reload_that_cannot_be_prepared_takes_no_lease(path: Path) -> None:
+def test_a_reload_that_cannot_be_prepared_acquires_no_authority(path: Path) -> None:
     async def script(world: World, _: ControlSocket) -> None:
         async def fail() -> Callable[[], None]:
             raise Refused(RefusalCode.CONFIG, "line 3 is wrong")
@@ -159,23 +159,28 @@ def test_a_reload_that_cannot_be_prepared_takes_no_lease(path: Path) -> None:
         world.prepare = fail
         operator = await connect(path)
         assert await operator.refused(op="reload") == "config"
-        assert (await operator.done(op="status"))["lease"]["holder"] is None
+        assert (await operator.done(op="status"))["authority"]["holder"] is None
 
     serve(path, script)
 
 
-def test_the_lease_by_itself() -> None:
-    lease = Authority()
-    assert not lease.release("a")
-    lease.demand("a")
-    lease.demand("a")
+def test_authority_by_itself() -> None:
+    authority = Authority()
+    assert not authority.release("a")
+    authority.acquire("a")
+    authority.acquire("a")
     with pytest.raises(Refused, match="a commands this axis"):
-        lease.demand("b")
+        authority.acquire("b")
     with pytest.raises(Refused, match="as a has commanded"):
-        lease.take("b", at_rest=False)
-    lease.take("a", at_rest=False)
-    lease.take("b", at_rest=True)
-    assert (lease.holder, lease.release("a"), lease.release("b"), lease.holder) == ("b", False, True, None)
+        authority.preempt("b", at_rest=False)
+    authority.preempt("a", at_rest=False)
+    authority.preempt("b", at_rest=True)
+    assert (authority.holder, authority.release("a"), authority.release("b"), authority.holder) == (
+        "b",
+        False,
+        True,
+        None,
+    )
 
 
 # Connections that die -------------------------------------------------------------------------------------------------
@@ -194,7 +199,7 @@ def test_a_connection_that_dies_in_mid_move(path: Path, policy: str, ends: str, 
         operator = await commanding(world, path)
         operator.die()
         await world.seconds(0.02)
-        assert world.loop.snapshot()["lease"] == {"holder": None}
+        assert world.loop.snapshot()["authority"] == {"holder": None}
         await world.until(lambda: outcome(world)[0] != "moving")
         how, reason = outcome(world)
         assert how == ends

@@ -213,7 +213,7 @@ def test_of_a_move_of_several_axes_that_one_refuses_none_is_begun() -> None:
 def test_one_client_commands_and_everybody_may_stop_and_disarm(op: str) -> None:
     service = Service()
     service.ask("one", op="arm")
-    assert service.refusal("another", op=op)[0] == "lease_held"
+    assert service.refusal("another", op=op)[0] == "authority_held"
     for free in ("stop", "disarm", "status"):
         service.ask("another", op=free)
     service.ask("one", op="release")
@@ -228,14 +228,14 @@ def test_acquire_takes_what_is_free_and_from_nobody() -> None:
     assert service.requests.authority.holder == "one"
     service.ask("one", op="acquire")
     code, said = service.refusal("another", op="acquire")
-    assert code == "lease_held"
+    assert code == "authority_held"
     assert "`release --force`" in said
     assert service.requests.authority.holder == "one"
 
 
 @pytest.mark.parametrize("op", ["preempt", "take"])
 @pytest.mark.parametrize("state", list(State))
-def test_the_lease_may_be_taken_while_every_axis_is_at_rest(state: State, op: str) -> None:
+def test_authority_may_be_preempted_while_every_axis_is_at_rest(state: State, op: str) -> None:
     service = Service()
     service.ask("one", op="arm")
     service.axes["y"].state = state
@@ -263,7 +263,7 @@ def test_when_the_client_that_commands_has_gone(policy: HolderLost, state: State
     elif state in COMMANDED and policy != "continue":
         reason = f"one has gone, who commanded the move (service.holder_lost is {policy})"
         assert axis.told == [(policy, reason)]
-        event = "the lease's holder has gone"
+        event = "the holder of control authority has gone"
         assert logs == [{"event": event, "log_level": "warning", "axis": "y", "client": "one", "policy": policy}]
     else:
         assert axis.told == []
@@ -351,13 +351,13 @@ def test_an_axis_that_was_armed_meanwhile_keeps_its_settings(state: State) -> No
     assert prepared.done == ["prepare"]
 
 
-@pytest.mark.parametrize("obstacle", ["ending", "armed", "lease_held"])
+@pytest.mark.parametrize("obstacle", ["ending", "armed", "authority_held"])
 def test_nothing_is_prepared_that_would_be_refused(obstacle: str) -> None:
     prepared = Prepared()
     service = Service(prepared)
     service.shutdown.is_ending = obstacle == "ending"
     service.axes["x"].state = State.HOLDING if obstacle == "armed" else State.DISARMED
-    if obstacle == "lease_held":
+    if obstacle == "authority_held":
         service.ask("another", op="arm")
     with pytest.raises(Refused) as refused:
         run_alone(service.requests.prepare_reload("one"))

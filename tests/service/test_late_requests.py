@@ -94,7 +94,7 @@ def test_what_was_asked_while_the_service_stood_still_has_expired_even_if_somebo
         refused, status = said(caller)
         assert refused["error"]["code"] == "expired"
         assert "8.0 s" in refused["error"]["message"]
-        assert (status["axis"]["state"], status["lease"]["holder"]) == ("disarmed", None)
+        assert (status["axis"]["state"], status["authority"]["holder"]) == ("disarmed", None)
         await world.until(lambda: world.axis.ready_to_arm)
         if not shut:
             ask(caller, {"op": "arm"})
@@ -150,7 +150,7 @@ def test_a_command_that_waited_behind_others_for_long_has_expired(
         assert world.state() is State.HOLDING
         if not gone:
             assert said(caller)[0]["error"]["code"] == "expired"
-            await operator.done(op="move", position=50.0)  # nor has it taken the lease
+            await operator.done(op="move", position=50.0)  # nor has it acquired authority
 
     serve(path, script)
 

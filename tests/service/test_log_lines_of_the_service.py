@@ -1,4 +1,4 @@
-"""The lines of the log, whole: of a service that ends, of its lease, and of axes that react to each other."""
+"""The lines of the log, whole: of a service that ends, of control authority, and of axes that react to each other."""
 
 import asyncio
 from pathlib import Path
@@ -87,7 +87,7 @@ def test_that_the_holder_has_gone_is_told_where_it_changes_something(tmp_path: P
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script, f"service.holder_lost='{policy}'")
-    text = "the lease's holder has gone"
+    text = "the holder of control authority has gone"
     told = {"event": text, "log_level": "warning", "axis": "x", "client": peers[0], "policy": policy}
     assert of(logs, text) == ([] if policy == "continue" else [told])
 

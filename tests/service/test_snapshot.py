@@ -126,7 +126,7 @@ def test_what_all_axes_have_in_common() -> None:
         report = world.loop.snapshot()
         assert report["uptime_s"] == pytest.approx(world.service.statistics.uptime_s, abs=1e-3)
         assert report["uptime_s"] > 1.0
-        assert report["lease"] == {"holder": None}
+        assert report["authority"] == {"holder": None}
         assert report["ticks"]["count"] == world.service.statistics.count
         assert report["realtime"] is None
         host = RealtimeStatus(

@@ -116,7 +116,7 @@ def test_a_socket_that_was_removed_is_made_again_and_clients_stay(path: Path, wh
         await world.seconds(2.5)
         fresh = await connect(path)
         assert (await fresh.done(op="status"))["axis"]["state"] == "holding"
-        assert (await operator.done(op="move", by=1.0))["ok"]  # who holds the lease still
+        assert (await operator.done(op="move", by=1.0))["ok"]  # who still holds authority
         assert os.stat(path).st_mode & 0o777 == 0o660  # noqa: PTH116
         assert world.service.statistics.missed == 0
         with pytest.raises(SocketInUseError):

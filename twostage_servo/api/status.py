@@ -180,7 +180,7 @@ class AxisReport(JsonRecord):
     bus: BusStatus
 
 
-class LeaseStatus(JsonRecord):
+class AuthorityStatus(JsonRecord):
     """Who commands: process, user and number of the connection, or None."""
 
     holder: str | None
@@ -238,7 +238,7 @@ class ServiceStatus(JsonRecord):
     version: str
     pid: int
     uptime_s: float
-    lease: LeaseStatus
+    authority: AuthorityStatus
     ticks: TickStatus
     realtime: RealtimeStatus | None
 

@@ -13,7 +13,7 @@ class RefusalCode(enum.StrEnum):
     BAD_REQUEST = "bad_request"
     EXPIRED = "expired"
     TOO_MANY_CLIENTS = "too_many_clients"
-    LEASE_HELD = "lease_held"
+    AUTHORITY_HELD = "authority_held"
     WHICH_AXIS = "which_axis"
     # Of what the axis does
     BUSY = "busy"

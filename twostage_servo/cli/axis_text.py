@@ -82,7 +82,7 @@ def describe(status: Status) -> str:
     service = status.service
     ticks, lateness, whole = service.ticks, service.ticks.lateness_us, service.ticks.duration_us["whole"]
     rows += [
-        ("commanded by", service.lease.holder or "nobody"),
+        ("commanded by", service.authority.holder or "nobody"),
         (
             "ticks",
             (

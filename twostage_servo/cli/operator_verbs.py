@@ -169,9 +169,9 @@ def _release(options: argparse.Namespace) -> ExitCode:
         if options.force:
             client.acquire(preempt=True)
         status = client.release()
-    if (holder := status.service.lease.holder) is not None:
+    if (holder := status.service.authority.holder) is not None:
         text = f"{holder} commands this axis: `release --force` takes authority from it while the axis is at rest."
-        raise CommandError(ExitCode.FAILED, RefusalCode.LEASE_HELD, text)
+        raise CommandError(ExitCode.FAILED, RefusalCode.AUTHORITY_HELD, text)
     return _finish(options, status)
 
 

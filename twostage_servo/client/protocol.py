@@ -129,7 +129,7 @@ class Authority:
 
     def after(self, request: Request, status: Status) -> None:
         """Take notice of the answer to a request that was carried out."""
-        holder = status.service.lease.holder
+        holder = status.service.authority.holder
         if not isinstance(request, _TAKE_NOTHING):
             self._own = holder
         elif isinstance(request, ReleaseRequest):
@@ -138,7 +138,7 @@ class Authority:
 
     def see(self, status: Status) -> None:
         """Take notice of who commands."""
-        self._holder = status.service.lease.holder
+        self._holder = status.service.authority.holder
 
 
 def checked(answer: JsonObject) -> JsonObject:

@@ -163,7 +163,7 @@ def bad_set_points(world: World, _: Random) -> None:
 
 def second_client(world: World, _: Random) -> None:
     """Let another client command the axis that the operator holds; it has to be refused."""
-    world.requests.authority.demand(OPERATOR)
+    world.requests.authority.acquire(OPERATOR)
     target = world.drive.position
     for request in ({"op": "move", "position": target}, {"op": "arm"}, {"op": "reset"}, {"op": "jog", "velocity": 1.0}):
         world.refusals.append(world.ask(request, ANOTHER))
@@ -171,7 +171,7 @@ def second_client(world: World, _: Random) -> None:
 
 def client_dies(world: World, _: Random) -> None:
     """End the operator's connection without a word."""
-    world.requests.authority.demand(OPERATOR)
+    world.requests.authority.acquire(OPERATOR)
     world.requests.leave(OPERATOR)
 
 

@@ -121,7 +121,7 @@ class RefusalError(Exception):
 
 
 class Operator:
-    """A client that commands, and watches every tick. It keeps its connection, as the lease goes with that.
+    """A client that commands, and watches every tick. It keeps its connection, as authority ends with that.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class Operator:
         return self._connection.fileno()
 
     def close(self) -> None:
-        """Give the lease back, as everyone does who leaves on purpose, and leave."""
+        """Release authority, as everyone does who leaves on purpose, and leave."""
         with contextlib.suppress(OSError, RefusalError), _as_os_error():
             self._connection.ask(ReleaseRequest(), _PARTING_S)
         self._connection.close()

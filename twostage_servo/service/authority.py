@@ -1,4 +1,4 @@
-"""The operator's lease: one client commands, the rest watch."""
+"""Control authority: one client commands, the rest watch."""
 
 import contextlib
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from twostage_servo.axis.refusals import RefusalCode, Refused
 class Authority:
     """Who commands the axis.
 
-    A client that commands takes the lease by it, if nobody holds it, and keeps it until it gives it back or its
+    A client that commands acquires authority by it, if nobody holds it, and keeps it until it releases it or its
     connection ends. A command that is refused takes nothing. So two operators never pull at one axis, and no script
     has to ask for anything first.
 
@@ -22,17 +22,17 @@ class Authority:
     def __init__(self) -> None:
         self.holder: str | None = None
 
-    def demand(self, client: str) -> None:
-        """Let a client command.
+    def acquire(self, client: str) -> None:
+        """Give authority to a client, if it is free or already its own.
 
         Raises
         ------
         Refused
-            If another client holds the lease.
+            If another client holds authority.
         """
         if self.holder not in {None, client}:
             raise Refused(
-                RefusalCode.LEASE_HELD,
+                RefusalCode.AUTHORITY_HELD,
                 f"{self.holder} commands this axis: end it, let it `release`, or take authority from it with "
                 "`release --force` (`preempt` on the socket) while the axis is at rest. `stop` and `disarm` are open "
                 "to everybody.",
@@ -40,16 +40,16 @@ class Authority:
         self.holder = client
 
     @contextlib.contextmanager
-    def demanded(self, client: str) -> Iterator[None]:
-        """Let a client command, and take back what it got by that if its command is refused.
+    def acquired(self, client: str) -> Iterator[None]:
+        """Give authority to a client, and take it back if that is new and its command is refused.
 
         Raises
         ------
         Refused
-            As in :meth:`demand`.
+            As in :meth:`acquire`.
         """
         held = self.holder == client
-        self.demand(client)
+        self.acquire(client)
         try:
             yield
         except Refused:
@@ -57,20 +57,20 @@ class Authority:
                 self.release(client)
             raise
 
-    def take(self, client: str, *, at_rest: bool) -> None:
-        """Let a client command in place of the holder.
+    def preempt(self, client: str, *, at_rest: bool) -> None:
+        """Give authority to a client, also in place of the holder.
 
         Raises
         ------
         Refused
-            If another client holds the lease and the axis is not at rest.
+            If another client holds authority and the axis is not at rest.
         """
         if self.holder not in {None, client} and not at_rest:
             raise Refused(RefusalCode.BUSY, f"the axis moves as {self.holder} has commanded: `stop` it first.")
         self.holder = client
 
     def release(self, client: str) -> bool:
-        """Take a client's lease back; return whether it held one."""
+        """Take authority back from a client; return whether it held it."""
         if self.holder != client:
             return False
         self.holder = None

@@ -126,7 +126,7 @@ class RequestHandler:
             if axis.state is State.JOGGING:
                 axis.stop(f"{client} has gone, who held the jog")
             elif axis.state in COMMANDED and policy != "continue":
-                log, event = structlog.get_logger(), "the lease's holder has gone"
+                log, event = structlog.get_logger(), "the holder of control authority has gone"
                 log.warning(event, axis=axis_loop.name, client=client, policy=policy)
                 reason = f"{client} has gone, who commanded the move (service.holder_lost is {policy})"
                 if policy == "stop":
@@ -172,7 +172,7 @@ class RequestHandler:
             If it would be refused, another one is under way, or the configuration cannot be used.
         """
         self._check_not_ending()
-        with self.authority.demanded(client):
+        with self.authority.acquired(client):
             await self._reload.prepare(client)
 
     # One way ---------------------------------------------------------------------------------------------------------
@@ -233,12 +233,12 @@ class RequestHandler:
             case ReleaseRequest():
                 self.authority.release(client)
             case AcquireRequest():
-                self.authority.demand(client)
+                self.authority.acquire(client)
             case PreemptRequest():
                 at_rest = all(axis_loop.axis.state not in _IN_MOTION for axis_loop in self._axis_loops)
-                self.authority.take(client, at_rest=at_rest)
+                self.authority.preempt(client, at_rest=at_rest)
             case _:
-                with self.authority.demanded(client):
+                with self.authority.acquired(client):
                     self._carry_out_for_holder(request, addressed, client)
 
     def _carry_out_for_holder(self, request: Request, addressed: Sequence[AxisLoop], client: str) -> None:

@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.status import (
+    AuthorityStatus,
     AxisReport,
     AxisStatus,
     BusStatus,
     DriveStatus,
     FrameStatus,
     InputStatus,
-    LeaseStatus,
     MoveStatus,
     RealtimeStatus,
     ServiceStatus,
@@ -68,7 +68,7 @@ class StatusReport:
             version=__version__,
             pid=os.getpid(),
             uptime_s=round(self._statistics.uptime_s, 3),
-            lease=LeaseStatus(holder=self._authority.holder),
+            authority=AuthorityStatus(holder=self._authority.holder),
             ticks=self._statistics.summary(),
             realtime=None if self._host is None else self._host(),
         )
