@@ -90,7 +90,7 @@ class Campaign:
         if reason := fault.why_not(self.loaded.config):
             return reason
         if phase is Phase.HOMING and not self.can_search:
-            return "the axis is homed where it stands, and its drive has no home switch to look for"
+            return "homing declares the present position, and the drive has no home switch"
         return ""
 
     @property

@@ -55,8 +55,8 @@ def looks_like_the_model(factor: float) -> Limit:
         if abs(share - 1.0) > MODEL_ERROR:
             return ""
         return (
-            f"in a cruise the true plant goes {share / factor:.0%} of what its model says, so the encoder shows "
-            f"{share:.0%} of it, which is nearer to the model than before: one encoder cannot tell"
+            f"in a cruise the true plant moves {share / factor:.0%} of what its model predicts, so the encoder shows "
+            f"{share:.0%} of it, which is closer to the model than before: one encoder cannot tell"
         )
 
     return limit
@@ -74,6 +74,6 @@ def hidden_by_noise(motion: Motion) -> str:
     if noise < _LOUD_NOISE * hides:
         return ""
     return (
-        f"the noise of {noise:g} {config.axis.unit} makes as much of a surprise as another scale does while the axis "
-        "sets out, and in a cruise a scale that has been there from rest on looks like a load: one encoder cannot tell"
+        f"the noise of {noise:g} {config.axis.unit} hides another scale while the axis accelerates, and in a cruise a "
+        "scale that was wrong from rest on looks like a load: one encoder cannot tell"
     )

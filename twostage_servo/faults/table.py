@@ -290,7 +290,7 @@ def _counts(_: DriveProfile, protocol: ProtocolSettings) -> bool:
     return protocol.feedback.counter is not False
 
 
-_UNCOUNTED = "the drive's feedback has no counter: a frame that comes twice, or late, is taken for a new one"
+_UNCOUNTED = "the drive's feedback has no counter: a repeated or late frame counts as a new one"
 
 
 def _tells_faults(_: DriveProfile, protocol: ProtocolSettings) -> bool:
@@ -311,7 +311,7 @@ def _ample_effort(config: Config) -> str:
     if drive_faults.WEAKNESS * share >= _LEAST_GAIN:
         return ""
     return (
-        f"the velocity limit takes {share:.0%} of the effort limit, so only a plant that is another one could need more"
+        f"the velocity limit takes {share:.0%} of the effort limit, so only a plant far off its model could need more"
     )
 
 
@@ -338,7 +338,7 @@ TABLE: tuple[Fault, ...] = (
           check=came_back_disarmed, idle=TOLERATED, phases=EVERYWHERE, shared=True),
     Fault(12, "a node babbles", bus_faults.babble, TOLERATED, _unnoticed),
     Fault(12, "backlog: more frames than a tick reads", bus_faults.back_up, QUICK, _stale, phases=EVERYWHERE,
-          shared=True, instead=DISABLED, note="the heartbeat waits as well"),
+          shared=True, instead=DISABLED, note="the heartbeat is delayed, too"),
     Fault(13, "another node commands the drive", bus_faults.foreign_command, DISABLED, _at_once, idle=REFUSED,
           phases=EVERYWHERE),
     Fault(14, "wrong length, kind and identifier", bus_faults.malformed, TOLERATED, _bridged, check=rejected_some),
@@ -356,7 +356,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(18, "a single spike", _D.spike, TOLERATED, _bridged),
     Fault(19, "a jump that stays", _D.jump, QUICK, lambda budget: budget.implausible(),
           check=needs_homing, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED,
-          note="while disarmed, one that `overspeed` allows cannot be told from a push by hand"),
+          note="while disarmed, a jump that `overspeed` allows looks like a push by hand"),
     Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
           again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
     Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
@@ -401,7 +401,7 @@ TABLE: tuple[Fault, ...] = (
           idle_bound=_bridged, phases=EVERYWHERE, shared=True),
     Fault(36, "host held up for 500 ms", _H.suspend(0.500), _suspended(0.500), _suspended_travel(0.500),
           idle_bound=_bridged, phases=EVERYWHERE, shared=True,
-          note="longer than the drive waits for commands: it has disabled itself when the missed ticks are noticed"),
+          note="longer than the drive's command time-out: it disables itself before the service sees the missed ticks"),
     # The tick in which the defect shows sends no command.
     Fault(40, "a defect in the loop", _H.defect, QUICK,
           lambda budget: budget.quick_stop(budget.noticing_s(1)), idle=REFUSED, check=ended_with_an_error, shared=True),
@@ -429,7 +429,7 @@ TABLE: tuple[Fault, ...] = (
           {**dict.fromkeys((*MOVING, *SEARCHING), HELD), Phase.HOLDING: REFUSED}, _disarmed_and_moved, idle=TOLERATED,
           idle_bound=lambda budget: budget.followed() + budget.moved_while_disabled(_D.CREEP_GATES),
           refused_bound=_disarmed_and_moved,
-          phases=EVERYWHERE, check=told_how_far, note="it cannot be told from a push by hand: told, not tripped"),
+          phases=EVERYWHERE, check=told_how_far, note="it looks like a push by hand: reported, no trip"),
     Fault(57, "heartbeat says fault, feedback does not", _D.contradiction, DISABLED,
           lambda budget: budget.contradicted(), idle=DISABLED, phases=EVERYWHERE, needs=_contradicts),
     Fault(67, "drive switched off and on, old boot counter", _D.restart_with_the_old_boot_counter, QUICK, _at_once,
