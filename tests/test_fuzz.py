@@ -17,7 +17,7 @@ from pydantic import BaseModel
 from tools.fuzz import frames, lines, tomls
 from tools.fuzz.bench import Bench, Failed, quiet_log
 from tools.fuzz.drives import Drive, Kind, all_drives
-from tools.fuzz.lines import Desk, Line
+from tools.fuzz.lines import ControlSocketRig, Line
 from tools.fuzz.reference import refusal
 from tools.fuzz.reproducible import reproducible
 from tools.fuzz.request_maker import minimal_request, numeric_fields
@@ -96,20 +96,20 @@ def test_every_numeric_field_of_every_request_is_among_those_tried() -> None:
 
 
 @pytest.fixture(scope="module")
-def desk(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Desk]:
+def socket_rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ControlSocketRig]:
     with contextlib.closing(
-        Desk(Bench(all_drives()[0], reproducible("desk")), tmp_path_factory.mktemp("s") / "s")
-    ) as desk:
-        yield desk
+        ControlSocketRig(Bench(all_drives()[0], reproducible("socket_rig")), tmp_path_factory.mktemp("s") / "s")
+    ) as socket_rig:
+        yield socket_rig
 
 
 @pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize(("op", "field"), [(field.op, field.field) for field in numeric_fields()])
 def test_a_number_that_no_axis_takes_is_refused_by_the_name_of_its_field(
-    desk: Desk, op: str, field: str, number: str
+    socket_rig: ControlSocketRig, op: str, field: str, number: str
 ) -> None:
     request = json.dumps(minimal_request(op, **{field: "@"})).replace('"@"', number)
-    answer = desk.ask(Line(request.encode(), refused=True))
+    answer = socket_rig.ask(Line(request.encode(), refused=True))
     assert answer["error"]["code"] == "bad_request" or answer["error"]["code"].endswith("_limit")
     assert field in answer["error"]["message"]
 
@@ -288,9 +288,9 @@ def test_the_bench_finds_an_effort_beyond_its_limit(monkeypatch: pytest.MonkeyPa
         frames.run_episode(7, 0, 2000)
 
 
-def test_the_desk_finds_a_number_that_is_carried_out(desk: Desk) -> None:
+def test_the_rig_finds_a_number_that_is_carried_out(socket_rig: ControlSocketRig) -> None:
     with pytest.raises(Failed, match="carried out"):
-        desk.ask(Line(b'{"op": "status"}', refused=True))
+        socket_rig.ask(Line(b'{"op": "status"}', refused=True))
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What is known of a drive, frame by frame: its ages in ticks, its state within a tick, its rounds, its origin."""
+"""What is known of a drive, frame by frame: its ages in ticks, its state within a tick, its revolutions, its origin."""
 
 import math
 from collections.abc import Callable
@@ -175,7 +175,7 @@ def test_a_frame_that_is_not_new_tells_nothing() -> None:
 
 @pytest.mark.parametrize(("period", "last_sure"), [(1000.0, 156), (10_079.0, 1574), (10_081.0, 0), (0.0, 0)])
 def test_which_round_it_is_stays_sure_until_the_axis_may_have_gone_half_of_one(period: float, last_sure: int) -> None:
-    """At 320 mm/s half of 1000 mm takes 1.5625 s; where both ends are nearer than half a round, it never matters."""
+    """At 320 mm/s half of 1000 mm takes 1.5625 s; where both ends are nearer than that, it never matters."""
     for ticks, sure in ((last_sure or 5000, True), (last_sure + 1 if last_sure else 50_000, not last_sure)):
         drive = report(period)
         assert seen(drive, 100.0)

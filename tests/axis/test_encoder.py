@@ -1,4 +1,4 @@
-"""What the encoder says and when: roll-overs, dates, bits that flip, and an encoder or an axis that stands still."""
+"""What the encoder says and when: wraps, dates, bits that flip, and an encoder or an axis that stands still."""
 
 import itertools
 import math
@@ -35,7 +35,7 @@ def rig_of(design: AxisDesign = DESIGN, period: float = 0.0, **keywords: float) 
 
 
 def counting(period: float) -> Callable[[float], float]:
-    """Return an encoder that rolls over at half its range, as two's complement does."""
+    """Return an encoder that wraps at half its range, as two's complement does."""
     return lambda position: (position + period / 2.0) % period - period / 2.0
 
 
@@ -51,7 +51,7 @@ def trip_of(rig: AxisRig) -> TripCode | None:
     return rig.axis.trip.code if rig.axis.trip is not None else None
 
 
-# Roll-over -----------------------------------------------------------------------------------------------------------
+# Wrap ----------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("period", [COUNTER, COUNTER * 65_536.0], ids=["16 bits", "32 bits"])
@@ -77,13 +77,13 @@ def test_a_counter_that_ends_anywhere_changes_nothing(period: float, direction: 
             rig.seconds(4.0)
         return rig
 
-    plain, rolling = run(lambda position: position, 0.0), run(counting(period), period)
-    assert rolling.states == plain.states
+    plain, wrapping = run(lambda position: position, 0.0), run(counting(period), period)
+    assert wrapping.states == plain.states
     rounding = 1e-4 if period > 1e6 else 1e-7  # 2147 m in a double, and f11 times that
-    assert rolling.position == pytest.approx(plain.position, abs=rounding)
-    efforts = [[command.effort for command in rig.commands] for rig in (rolling, plain)]
+    assert wrapping.position == pytest.approx(plain.position, abs=rounding)
+    efforts = [[command.effort for command in rig.commands] for rig in (wrapping, plain)]
     assert efforts[0] == pytest.approx(efforts[1], abs=rounding)
-    assert rolling.axis.drive.position == pytest.approx(0.0, abs=0.05)
+    assert wrapping.axis.drive.position == pytest.approx(0.0, abs=0.05)
 
 
 def test_one_flipped_top_bit_is_a_spike_like_any_other() -> None:

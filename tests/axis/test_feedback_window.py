@@ -1,4 +1,4 @@
-"""What the monitor of the feedback counts: its window, frames rejected on the way, half a round of silence."""
+"""What the monitor of the feedback counts: its window, frames rejected on the way, half a modulus of silence."""
 
 import pytest
 

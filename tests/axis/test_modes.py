@@ -344,7 +344,7 @@ def test_a_stop_in_the_detour_ends_the_move() -> None:
     assert rig.position > -60.0
 
 
-# Roll-over, hands, dates ---------------------------------------------------------------------------------------------
+# Wrap, hands, dates --------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=60, deadline=None)
@@ -352,8 +352,8 @@ def test_a_stop_in_the_detour_ends_the_move() -> None:
     steps=st.lists(st.floats(-0.49, 0.49), min_size=1, max_size=60),
     period=st.sampled_from([65.536, 65_536.0, 4_294_967.296]),
 )
-def test_a_counter_that_rolls_over_is_followed(steps: list[float], period: float) -> None:
-    """Whatever the axis does between two samples, as long as it is less than half a round."""
+def test_a_counter_that_wraps_is_followed(steps: list[float], period: float) -> None:
+    """Whatever the axis does between two samples, as long as it is less than half a revolution."""
     report = DriveReport(axis_settings(), PERIOD_S, DriveTraits(counter_modulus=16, position_period=period))
     true = 0.0
     for number, step in enumerate(steps):

@@ -22,7 +22,7 @@ TURN = 5.0
 """A single-turn encoder on a screw of 5 mm: 8 ms at overspeed, so every missed frame counts."""
 
 
-def rolling(period: float) -> AxisRig:
+def wrapping(period: float) -> AxisRig:
     rig = AxisRig(Axis(DESIGN, replace(TRAITS, position_period=period)))
     rig.sees = lambda position: (position + period / 2.0) % period - period / 2.0
     return rig
@@ -55,7 +55,7 @@ def arms_and_stays(rig: AxisRig) -> bool:
 @settings(max_examples=60, deadline=None)
 @given(period=st.sampled_from([TURN, NARROW, WIDE]), ticks=st.integers(1, 60), speed=st.floats(-OVERSPEED, OVERSPEED))
 def test_pushed_while_unseen_the_place_is_right_or_no_longer_trusted(period: float, ticks: int, speed: float) -> None:
-    rig = rolling(period).seconds(0.1)
+    rig = wrapping(period).seconds(0.1)
     unseen(rig, ticks, speed)
     rig.tick()
     assert not rig.axis.referenced or rig.axis.drive.position == pytest.approx(rig.sees(0.0) + rig.position, abs=1e-6)
@@ -65,7 +65,7 @@ def test_pushed_while_unseen_the_place_is_right_or_no_longer_trusted(period: flo
 @pytest.mark.parametrize(("ticks", "trusted"), [(9, True), (10, False)])
 def test_the_reference_is_lost_when_half_a_round_is_possible(ticks: int, *, trusted: bool) -> None:
     """102.4 ms at 320 mm/s are half of 65.536 mm; the sample after nine empty ticks is 100 ms younger than the last."""
-    rig = rolling(NARROW).seconds(0.1)
+    rig = wrapping(NARROW).seconds(0.1)
     unseen(rig, ticks, 0.0)
     rig.tick()
     assert rig.axis.referenced is trusted
@@ -74,7 +74,7 @@ def test_the_reference_is_lost_when_half_a_round_is_possible(ticks: int, *, trus
 @pytest.mark.parametrize("period", [NARROW, WIDE])
 @pytest.mark.parametrize("gap_s", [0.2, 0.5, 1.0, 1.7])
 def test_a_long_silence_in_motion_never_ends_in_a_run(period: float, gap_s: float) -> None:
-    rig = rolling(period).cruising()
+    rig = wrapping(period).cruising()
     rig.silent = True
     rig.seconds(gap_s)
     assert rig.axis.trip is not None
@@ -89,7 +89,7 @@ def test_a_long_silence_in_motion_never_ends_in_a_run(period: float, gap_s: floa
 @pytest.mark.parametrize("missed", [5, 12, 30, 50])
 def test_a_suspension_in_motion_never_ends_in_a_run(missed: int) -> None:
     """At 100 mm/s 50 ticks are 50 mm, more than half of the counter's range."""
-    rig = rolling(NARROW).cruising()
+    rig = wrapping(NARROW).cruising()
     rig.tick(missed)
     assert rig.axis.trip is not None
     assert rig.axis.trip.code is TripCode.MISSED_TICKS
@@ -100,7 +100,7 @@ def test_a_suspension_in_motion_never_ends_in_a_run(missed: int) -> None:
 
 
 def test_a_suspension_while_disarmed_starts_the_estimate_afresh() -> None:
-    rig = rolling(WIDE).seconds(0.1)
+    rig = wrapping(WIDE).seconds(0.1)
     rig.velocity = 100.0
     rig.seconds(0.05)
     rig.position, rig.velocity = 300.0, 0.0  # has come to rest somewhere else meanwhile
@@ -116,14 +116,14 @@ def test_a_suspension_while_disarmed_starts_the_estimate_afresh() -> None:
 @pytest.mark.parametrize("surprise", ["not seen before", "knocked"])
 def test_frames_lost_behind_the_first_one_do_not_make_it_look_quicker(surprise: str, lost: int, speed: float) -> None:
     """Two samples say how fast the axis is, and they may be some ticks apart: a speed ten times too large would lead
-    the estimate into the next round of the counter within two ticks.
+    the estimate into the next revolution of the counter within two ticks.
     """
     axis = Axis(
         design_axis(axis_settings(stale_feedback_ms=100.0), PERIOD_S),
         DriveTraits(counter_modulus=16, position_period=NARROW),
     )
     rig = AxisRig(axis)
-    rig.sees = rolling(NARROW).sees
+    rig.sees = wrapping(NARROW).sees
 
     def carried(ticks: int, *, silent: bool = False) -> None:
         rig.silent = silent

@@ -1,4 +1,4 @@
-"""A position rolls over as the encoder behind it does."""
+"""A position wraps as the encoder behind it does."""
 
 import math
 import struct
@@ -26,7 +26,7 @@ def two_complement(number: int, length: int) -> int:
 
 
 @given(steps=STEPS, length=st.integers(2, 32), is_signed=st.booleans(), scale=SCALES)
-def test_what_has_all_its_raw_values_rolls_over_like_a_counter(
+def test_what_has_all_its_raw_values_wraps_like_a_counter(
     steps: int, length: int, is_signed: bool, scale: float
 ) -> None:
     codec = position(length=length, is_signed=is_signed, scale=scale)
@@ -67,7 +67,7 @@ def test_any_finite_position_is_sent_as_one_that_decodes(value: float, factor: f
 
 
 @given(value=st.floats(-1e12, 1e12))
-def test_with_narrower_limits_there_is_no_roll_over_but_an_end(value: float) -> None:
+def test_with_narrower_limits_there_is_no_wrap_but_an_end(value: float) -> None:
     codec = position(length=32, is_signed=True, scale=0.01, minimum=-5000, maximum=5000)
     assert codec.period == 0.0
     assert codec.decode(codec.encode(value)) == pytest.approx(min(max(value, -5000.0), 5000.0), abs=0.0051)
@@ -90,7 +90,7 @@ def test_what_is_no_position_is_sent_as_the_reserved_value_which_is_rejected(val
 
 
 @pytest.mark.parametrize("length", [32, 64])
-def test_a_float_position_neither_rolls_over_nor_hides_a_nan(length: int) -> None:
+def test_a_float_position_neither_wraps_nor_hides_a_nan(length: int) -> None:
     codec = position(length=length, is_float=True)
     assert codec.period == 0.0
     assert codec.decode(codec.encode(1e9)) == 1e9

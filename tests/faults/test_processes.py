@@ -381,7 +381,7 @@ def test_the_listener_measures_from_where_the_axis_was_at_the_fault(listener: Li
     assert listener.longest_gap_s(0.4, 2.0, of_orders=True) == 0.0
 
 
-def test_the_listener_rolls_positions_out_and_ignores_what_it_cannot_read(listener: Listener) -> None:
+def test_the_listener_unwraps_positions_and_ignores_what_it_cannot_read(listener: Listener) -> None:
     profile = compile_profile(load(None))
     period = profile.traits.position_period
     assert period > 0.0

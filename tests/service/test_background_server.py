@@ -10,8 +10,8 @@ from twostage_servo.service.background_server import BackgroundServer, Priority
 PERIOD_S = 0.01
 
 
-class Desk:
-    """Serves whoever asks, in turns, and notes who was served and when."""
+class BackgroundRig:
+    """Serves whoever asks, one at a time, and records who was served and when."""
 
     def __init__(self) -> None:
         self.background = BackgroundServer(PERIOD_S)
@@ -41,140 +41,140 @@ class Desk:
             self.loop.work(work_s)
 
 
-def on_host(script: Callable[[Desk], Awaitable[None]]) -> Desk:
-    async def main() -> Desk:
-        desk = Desk()
-        await script(desk)
-        for task in desk.clients:
+def on_host(script: Callable[[BackgroundRig], Awaitable[None]]) -> BackgroundRig:
+    async def main() -> BackgroundRig:
+        rig = BackgroundRig()
+        await script(rig)
+        for task in rig.clients:
             task.cancel()
-        await asyncio.gather(*desk.clients, return_exceptions=True)
-        return desk
+        await asyncio.gather(*rig.clients, return_exceptions=True)
+        return rig
 
     with asyncio.Runner(loop_factory=HostLoop) as runner:
         return runner.run(main())
 
 
 def test_nobody_is_served_before_the_first_tick_and_all_in_their_order_after_it() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for name in "abc":
-            desk.ask(name, 1e-4)
+            rig.ask(name, 1e-4)
         await asyncio.sleep(0)
-        assert desk.names == ""
-        await desk.tick(desk.loop.time() + PERIOD_S)
+        assert rig.names == ""
+        await rig.tick(rig.loop.time() + PERIOD_S)
 
     assert on_host(script).names == "abc"
 
 
 def test_all_together_take_three_tenths_of_a_period_and_the_rest_waits_for_the_next_tick() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for name in "abcdefgh":
-            desk.ask(name, 1e-3)
+            rig.ask(name, 1e-3)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "abc"
-        await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "abcdef"
+        await rig.tick(rig.loop.time() + PERIOD_S)
+        assert rig.names == "abc"
+        await rig.tick(rig.loop.time() + PERIOD_S)
+        assert rig.names == "abcdef"
 
     on_host(script)
 
 
 def test_no_turn_begins_that_could_last_into_the_wait_for_the_next_tick() -> None:
-    async def script(desk: Desk) -> None:
-        desk.ask("a", 1.5e-3)
+    async def script(rig: BackgroundRig) -> None:
+        rig.ask("a", 1.5e-3)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)  # now it is known how long a turn may take
-        free_until_s = desk.loop.time() + 2.5e-3
+        await rig.tick(rig.loop.time() + PERIOD_S)  # now it is known how long a slot may take
+        free_until_s = rig.loop.time() + 2.5e-3
         for name in "bcd":
-            desk.ask(name, 0.2e-3)
+            rig.ask(name, 0.2e-3)
         await asyncio.sleep(0)
-        desk.background.open(free_until_s)
+        rig.background.open(free_until_s)
         for _ in range(50):
             await asyncio.sleep(0)
-        desk.loop._now_s = free_until_s - 1.0e-3  # type: ignore[attr-defined]
-        desk.ask("e", 0.2e-3)
+        rig.loop._now_s = free_until_s - 1.0e-3  # type: ignore[attr-defined]
+        rig.ask("e", 0.2e-3)
         await asyncio.sleep(0)
-        assert desk.names == "abcd"
-        await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "abcde"
+        assert rig.names == "abcd"
+        await rig.tick(rig.loop.time() + PERIOD_S)
+        assert rig.names == "abcde"
 
     on_host(script)
 
 
 def test_one_is_served_after_each_tick_however_late_it_is() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for name in "abc":
-            desk.ask(name, 1e-4)
+            rig.ask(name, 1e-4)
         await asyncio.sleep(0)
         for served in ("a", "ab", "abc"):
-            await desk.tick(desk.loop.time() - 1.0)
-            assert desk.names == served
+            await rig.tick(rig.loop.time() - 1.0)
+            assert rig.names == served
 
     on_host(script)
 
 
 def test_the_urgent_go_first_and_may_use_all_of_the_time() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for name in "abcdef":
-            desk.ask(name, 1e-3)
+            rig.ask(name, 1e-3)
         for name in "XYZ":
-            desk.ask(name, 2e-3, Priority.URGENT)
+            rig.ask(name, 2e-3, Priority.URGENT)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "XYZa"
-        desk.ask("U", 1e-3, Priority.URGENT)
+        await rig.tick(rig.loop.time() + PERIOD_S)
+        assert rig.names == "XYZa"
+        rig.ask("U", 1e-3, Priority.URGENT)
         await asyncio.sleep(0)
-        assert desk.names == "XYZaU"
+        assert rig.names == "XYZaU"
 
     on_host(script)
 
 
 def test_a_flood_of_the_urgent_holds_up_no_tick_and_shuts_nobody_out() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for name in "ab":
-            desk.ask(name, 0.5e-3)
+            rig.ask(name, 0.5e-3)
         for name in "TUVWXYZ":
-            desk.ask(name, 1.8e-3, Priority.URGENT)
+            rig.ask(name, 1.8e-3, Priority.URGENT)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() - 1.0)
-        assert desk.names == "Ta"
-        ends_s = desk.loop.time() + PERIOD_S
-        await desk.tick(ends_s)
-        assert desk.names == "TaUVWXYb"
-        assert desk.loop.time() < ends_s
+        await rig.tick(rig.loop.time() - 1.0)
+        assert rig.names == "Ta"
+        ends_s = rig.loop.time() + PERIOD_S
+        await rig.tick(ends_s)
+        assert rig.names == "TaUVWXYb"
+        assert rig.loop.time() < ends_s
 
     on_host(script)
 
 
 def test_neither_requests_nor_connections_shut_the_others_out() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for name in "CD":
-            desk.ask(name, 0.5e-3, Priority.CONNECTION)
+            rig.ask(name, 0.5e-3, Priority.CONNECTION)
         for name in "abcdefg":
-            desk.ask(name, 1e-3)
+            rig.ask(name, 1e-3)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "CDabc"
-        await desk.tick(desk.loop.time() - 1.0)
-        assert desk.names == "CDabcd"  # one of each rank comes in any case
+        await rig.tick(rig.loop.time() + PERIOD_S)
+        assert rig.names == "CDabc"
+        await rig.tick(rig.loop.time() - 1.0)
+        assert rig.names == "CDabcd"  # one of each rank comes in any case
         for name in "EFGHIJKL":
-            desk.ask(name, 1e-3, Priority.CONNECTION)
+            rig.ask(name, 1e-3, Priority.CONNECTION)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "CDabcdEFGefg"
+        await rig.tick(rig.loop.time() + PERIOD_S)
+        assert rig.names == "CDabcdEFGefg"
 
     on_host(script)
 
 
 def test_who_reads_and_who_is_let_in_leave_each_other_and_the_requests_their_part() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for _ in range(8):
-            desk.ask("C", 0.5e-3, Priority.CONNECTION)
-            desk.ask("R", 0.5e-3, Priority.READING)
-            desk.ask("a", 0.5e-3)
-            desk.ask("w", 0.5e-3, Priority.WATCHING)
+            rig.ask("C", 0.5e-3, Priority.CONNECTION)
+            rig.ask("R", 0.5e-3, Priority.READING)
+            rig.ask("a", 0.5e-3)
+            rig.ask("w", 0.5e-3, Priority.WATCHING)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "CCCCCCRRaaaaw"
+        await rig.tick(rig.loop.time() + PERIOD_S)
+        assert rig.names == "CCCCCCRRaaaaw"
 
     on_host(script)
 
@@ -182,48 +182,48 @@ def test_who_reads_and_who_is_let_in_leave_each_other_and_the_requests_their_par
 def test_what_the_loop_does_between_two_turns_counts_as_well() -> None:
     """A flood of small requests costs mostly the passes of the loop that serve them."""
 
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for _ in range(120):
-            desk.ask("a", 1e-6)
+            rig.ask("a", 1e-6)
         await asyncio.sleep(0)
-        assert isinstance(desk.loop, HostLoop)
-        desk.background.open(desk.loop.time() + PERIOD_S)
+        assert isinstance(rig.loop, HostLoop)
+        rig.background.open(rig.loop.time() + PERIOD_S)
         for _ in range(200):
-            desk.loop.work(1e-4)  # a pass
+            rig.loop.work(1e-4)  # a pass
             await asyncio.sleep(0)
-        assert 25 <= len(desk.names) <= 40
+        assert 25 <= len(rig.names) <= 40
 
     on_host(script)
 
 
 def test_one_who_leaves_the_queue_leaves_no_place_in_it() -> None:
-    async def script(desk: Desk) -> None:
-        waiting = [desk.ask("a", 1e-4) for _ in range(1000)]
+    async def script(rig: BackgroundRig) -> None:
+        waiting = [rig.ask("a", 1e-4) for _ in range(1000)]
         await asyncio.sleep(0)
         for task in waiting:
             task.cancel()
         await asyncio.gather(*waiting, return_exceptions=True)
-        assert not any(desk.background._queues.values())
+        assert not any(rig.background._queues.values())
 
     on_host(script)
 
 
 def test_connections_take_no_more_than_their_share() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for name in "ABCDEFGH":
-            desk.ask(name, 1e-3, Priority.CONNECTION)
+            rig.ask(name, 1e-3, Priority.CONNECTION)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)
+        await rig.tick(rig.loop.time() + PERIOD_S)
 
     assert on_host(script).names == "ABC"
 
 
 def test_a_turn_that_is_given_to_one_who_has_gone_is_passed_on() -> None:
-    async def script(desk: Desk) -> None:
-        leaving = desk.ask("a", 1e-4)
-        desk.ask("b", 1e-4)
+    async def script(rig: BackgroundRig) -> None:
+        leaving = rig.ask("a", 1e-4)
+        rig.ask("b", 1e-4)
         await asyncio.sleep(0)
-        desk.background.open(desk.loop.time() + PERIOD_S)
+        rig.background.open(rig.loop.time() + PERIOD_S)
         leaving.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await leaving
@@ -234,28 +234,28 @@ def test_a_turn_that_is_given_to_one_who_has_gone_is_passed_on() -> None:
 
 
 def test_a_long_turn_does_not_shut_the_others_out_for_good() -> None:
-    async def script(desk: Desk) -> None:
-        desk.ask("a", 1.0)
+    async def script(rig: BackgroundRig) -> None:
+        rig.ask("a", 1.0)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)
+        await rig.tick(rig.loop.time() + PERIOD_S)
         for name in "bcd":
-            desk.ask(name, 1e-4)
+            rig.ask(name, 1e-4)
         await asyncio.sleep(0)
-        await desk.tick(desk.loop.time() + PERIOD_S)
-        assert desk.names == "abcd"
+        await rig.tick(rig.loop.time() + PERIOD_S)
+        assert rig.names == "abcd"
 
     on_host(script)
 
 
 def test_when_there_are_no_more_ticks_everybody_is_served() -> None:
-    async def script(desk: Desk) -> None:
+    async def script(rig: BackgroundRig) -> None:
         for name in "abcdefgh":
-            desk.ask(name, 1e-3)
+            rig.ask(name, 1e-3)
         await asyncio.sleep(0)
-        desk.background.end()
+        rig.background.end()
         for _ in range(50):
             await asyncio.sleep(0)
-        desk.ask("i", 1e-3)
+        rig.ask("i", 1e-3)
         for _ in range(5):
             await asyncio.sleep(0)
 

@@ -190,9 +190,9 @@ def test_what_was_begun_for_a_watcher_who_has_gone_is_shown_to_nobody_later(late
     first, second, shown = Watcher(), Watcher(), Shown()
     connections = {first: None, second: None}
     book: Any = type("Book", (dict,), {"touch": lambda *_: None})(connections)
-    turns: Any = FewPieces(lambda: book.pop(first))
+    background: Any = FewPieces(lambda: book.pop(first))
     status: Any = shown
-    watchers = Watchers(book, status, turns)
+    watchers = Watchers(book, status, background)
 
     async def script() -> None:
         working = asyncio.create_task(watchers.run())
@@ -219,8 +219,8 @@ def test_whoever_begins_to_watch_is_not_shown_what_another_was_shown_before_in_t
     """Between the two somebody may have commanded: `arm`, and then a snapshot that says `disarmed`, is none of it."""
     first, second, shown = Watcher(), Watcher(), Shown()
     book: Any = type("Book", (dict,), {"touch": lambda *_: None})({first: None, second: None})
-    turns = FewPieces(lambda: watchers.begin(cast("Any", second), 10, None))
-    watchers = Watchers(book, cast("Any", shown), cast("Any", turns))
+    background = FewPieces(lambda: watchers.begin(cast("Any", second), 10, None))
+    watchers = Watchers(book, cast("Any", shown), cast("Any", background))
     watchers.begin(cast("Any", first), 10, None)
 
     async def script() -> None:

@@ -391,7 +391,7 @@ def test_a_switch_can_be_stuck_either_way(profile: DriveProfile, switch: str) ->
         (lambda position: position + 20.0, 32.5),
         (lambda position: -position, -12.5),
         (lambda position: 2.0 * position, 25.0),
-        (lambda position: 3e9, 3e9 - 699 * 4294967.296),  # far beyond the signal: it rolls over
+        (lambda position: 3e9, 3e9 - 699 * 4294967.296),  # far beyond the signal: it wraps
     ],
     ids=["frozen", "jump", "inverted", "scaled", "far"],
 )

@@ -157,7 +157,7 @@ def test_a_mark_counts_once_whether_it_is_passed_or_stopped_at(steps: list[float
             assert marks.take_passed_mark() == (0.5 if expected else None)
 
 
-# Roll-over ------------------------------------------------------------------------------------------------------------
+# Wrap ----------------------------------------------------------------------------------------------------------------
 
 
 def narrow_profile(folder: Path) -> DriveProfile:
@@ -170,7 +170,7 @@ def narrow_profile(folder: Path) -> DriveProfile:
 
 @pytest.mark.parametrize("bits", [16, 32])
 @pytest.mark.parametrize("effort", [9.0, -9.0])
-def test_the_measured_position_rolls_over_and_the_differences_do_not(
+def test_the_measured_position_wraps_and_the_differences_do_not(
     profile: DriveProfile, tmp_path: Path, bits: int, effort: float
 ) -> None:
     if bits == 16:
@@ -180,17 +180,17 @@ def test_the_measured_position_rolls_over_and_the_differences_do_not(
     start = math.copysign(period / 2 - 1.0, effort)
     bench = Bench(profile, initial_position=start, feedback="cyclic", command_timeout_ms=10_000.0)
     bench.enable(effort=effort)
-    unrolled = previous = start
-    rolled_over = 0
+    unwrapped = previous = start
+    wrapped = 0
     for n in range(50):
         for frame in bench.cycle(n / 100):
             if isinstance(frame, Feedback):
-                rolled_over += abs(frame.position - previous) > period / 2
-                unrolled += math.remainder(frame.position - previous, period)
+                wrapped += abs(frame.position - previous) > period / 2
+                unwrapped += math.remainder(frame.position - previous, period)
                 previous = frame.position
                 assert abs(frame.position) < period / 2
-                assert unrolled == pytest.approx(bench.drive.position, abs=0.0016)
-    assert rolled_over == 1
+                assert unwrapped == pytest.approx(bench.drive.position, abs=0.0016)
+    assert wrapped == 1
     assert abs(bench.drive.position) > period / 2
 
 

@@ -102,21 +102,21 @@ def test_whatever_the_bodies_take_there_is_no_burst_and_no_lag(bodies_s: list[fl
 
 def test_an_overdue_tick_still_lets_other_tasks_run() -> None:
     async def main() -> int:
-        turns = 0
+        passes = 0
 
         async def other() -> None:
-            nonlocal turns
+            nonlocal passes
             while True:
-                turns += 1
+                passes += 1
                 await asyncio.sleep(0)
 
         task = asyncio.create_task(other())
         ticks = Ticks(PERIOD_S, start_s=-1.0)
         await anext(ticks)
-        before = turns
+        before = passes
         ticks._index = 0  # overdue again, as after a suspension
         await anext(ticks)
-        gained = turns - before
+        gained = passes - before
         task.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await task

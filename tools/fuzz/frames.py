@@ -177,9 +177,7 @@ class _Attack:
             bench.ask(**self._requests.sensible(bench.drive.loaded.config.axis))
         elif state is State.DISARMED and rng.random() < 0.5:
             bench.ask(op="arm")
-            if (
-                bench.refused == "position_limit"
-            ):  # a jump that was taken for a roll-over, which only a new reference ends
+            if bench.refused == "position_limit":  # a jump that was taken for a wrap, which only a new reference ends
                 bench.ask(op="home", position=0.0)
         elif state is State.TRIPPED and rng.random() < 0.2:
             bench.ask(op="reset")

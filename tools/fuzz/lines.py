@@ -233,7 +233,7 @@ def strict_json(data: bytes) -> Any:
         raise Failed(f"not JSON: {data[:300]!r}: {error}") from error
 
 
-class Desk:
+class ControlSocketRig:
     """The control socket of a bench, asked without a connection: its own parsing, handling and encoding.
 
     Parameters
@@ -297,9 +297,9 @@ def run_episode(seed: int, episode: int, lines: int) -> Outcome:
     bench = Bench(drives[episode % len(drives)], rng)
     with (
         tempfile.TemporaryDirectory(prefix="fuzz") as folder,
-        contextlib.closing(Desk(bench, Path(folder) / "s")) as desk,
+        contextlib.closing(ControlSocketRig(bench, Path(folder) / "s")) as socket_rig,
     ):
-        talk = _Conversation(desk, lines)
+        talk = _Conversation(socket_rig, lines)
         talk.run()
     return Outcome(
         cases=lines,
@@ -307,7 +307,7 @@ def run_episode(seed: int, episode: int, lines: int) -> Outcome:
             "ticks": sum(bench.states.values()),
             "over_a_socket": talk.over_socket,
             "too_long": talk.too_long,
-            **{f"answer.{code}": number for code, number in desk.codes.items()},
+            **{f"answer.{code}": number for code, number in socket_rig.codes.items()},
             **{f"state.{name}": number for name, number in bench.states.items()},
             **{f"trip.{name}": number for name, number in bench.trips.items()},
         },
@@ -315,10 +315,10 @@ def run_episode(seed: int, episode: int, lines: int) -> Outcome:
 
 
 class _Conversation:
-    def __init__(self, desk: Desk, lines: int) -> None:
-        self._desk, self._bench, self._left = desk, desk.bench, lines
-        self._rng = desk.bench.rng
-        self._maker = LineMaker(self._rng, desk.bench)
+    def __init__(self, socket_rig: ControlSocketRig, lines: int) -> None:
+        self._socket_rig, self._bench, self._left = socket_rig, socket_rig.bench, lines
+        self._rng = socket_rig.bench.rng
+        self._maker = LineMaker(self._rng, socket_rig.bench)
         self._over = self._rng.random() < _SOCKET_SHARE
         self._connection: tuple[asyncio.StreamReader, asyncio.StreamWriter] | None = None
         self._ticks_over = 0
@@ -342,15 +342,15 @@ class _Conversation:
             await self._exchange(lines)
         else:
             for line in lines:
-                self._desk.ask(line)
+                self._socket_rig.ask(line)
         if rng.random() < 0.05:
             bench.harness.requests.leave(bench.harness.requests.authority.holder or "")
 
     async def _connected(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         if self._connection is None:
-            if not self._desk.socket.path.exists():
-                await self._desk.socket.start()
-            self._connection = await asyncio.open_unix_connection(str(self._desk.socket.path), limit=1 << 24)
+            if not self._socket_rig.socket.path.exists():
+                await self._socket_rig.socket.start()
+            self._connection = await asyncio.open_unix_connection(str(self._socket_rig.socket.path), limit=1 << 24)
         return self._connection
 
     async def _exchange(self, lines: list[Line]) -> None:
@@ -360,7 +360,7 @@ class _Conversation:
             writer.write(line.data + b"\n")
         self.over_socket += len(lines)
         for line in lines:
-            self._desk.look(check_answer(await self._answer(reader), line), line)
+            self._socket_rig.look(check_answer(await self._answer(reader), line), line)
         chance = self._rng.random()
         if chance < 0.03:
             await self._send_too_long(reader, writer)
@@ -399,7 +399,7 @@ class _Conversation:
         if self._ticks_over == 0:
             if self._connection is not None:
                 self._connection[1].close()
-            await self._desk.socket.stop()
+            await self._socket_rig.socket.stop()
             self._bench.service.shut_down()
         self._ticks_over += 1
         if self._ticks_over > _TICKS_AT_END:

@@ -9,7 +9,7 @@ import can
 from tools.fuzz.bench import Bench, BenchLoop, quiet_log
 from tools.fuzz.drives import Kind, all_drives
 from tools.fuzz.frames import compare_with_reference
-from tools.fuzz.lines import Desk, Line, corpus
+from tools.fuzz.lines import ControlSocketRig, Line, corpus
 from tools.fuzz.reproducible import reproducible
 from twostage_servo.axis.state import State
 
@@ -63,7 +63,7 @@ class SocketTarget:
     def __init__(self) -> None:
         quiet_log()
         self._bench = Bench(all_drives()[0], reproducible("socket"))
-        self._desk = Desk(self._bench, Path(tempfile.gettempdir()) / "never listened on")
+        self._socket_rig = ControlSocketRig(self._bench, Path(tempfile.gettempdir()) / "never listened on")
         self._loop = BenchLoop()
         self._go: asyncio.Event = asyncio.Event()
         self._bench.prepare = self._wait
@@ -109,7 +109,7 @@ class SocketTarget:
             await self._tick(1)
         pause = data[0] % 8 if data else 0
         for line in data[1:].split(b"\n")[:_MOST_LINES]:
-            self._desk.ask(Line(line, refused=False))
+            self._socket_rig.ask(Line(line, refused=False))
             await self._tick(pause)
         bench.harness.requests.leave(bench.harness.requests.authority.holder or "")
 
@@ -118,7 +118,7 @@ class SocketTarget:
         self._service.cancel()
         self._loop.run_until_complete(asyncio.gather(self._service, return_exceptions=True))
         self._bench.bus.shutdown()
-        self._desk.close()
+        self._socket_rig.close()
         self._loop.close()
 
     def seeds(self) -> list[bytes]:

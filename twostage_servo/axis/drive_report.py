@@ -29,7 +29,7 @@ class DriveReport:
     Attributes
     ----------
     position
-        Position of the newest fresh feedback, rolled out and homed, in axis unit; None before the first and after the
+        Position of the newest fresh feedback, unwrapped and homed, in axis unit; None before the first and after the
         bus was lost.
     age_s
         How long before its tick that sample was taken, or None: at the instant of the last command.
@@ -91,7 +91,7 @@ class DriveReport:
     def begin_tick(self, missed: int, expected: float | None = None) -> None:
         """Let everything known grow older by this tick and those missed before it.
 
-        ``expected`` is where the axis is by its estimate, in axis unit, to which what the encoder counts is rolled out;
+        ``expected`` is where the axis is by its estimate, in axis unit, to which what the encoder counts is unwrapped;
         without one, the last position has to do.
         """
         self.fresh = self.told_state = self.told_present_state = False
@@ -112,7 +112,7 @@ class DriveReport:
         -------
         bool
             Whether the position is still sure: False where the axis has not been seen for so long that it may have
-            gone half a round of its encoder, so that nobody knows which round this is.
+            gone half a revolution of its encoder or more, so that unwrapping is ambiguous.
         """
         if not math.isfinite(feedback.position):
             self.monitor.reject()
@@ -169,7 +169,7 @@ class DriveReport:
         return self.heartbeat.take(boot_counter, late=late)
 
     def forget(self) -> None:
-        """Start afresh, as after the bus was lost; roll-overs are counted on from where the axis was last seen."""
+        """Start afresh, as after the bus was lost; wraps are counted on from where the axis was last seen."""
         self.monitor.forget()
         self.backlog = None
         self.position = self.enabled = self.fault_code = self.faulted = self.age_s = None

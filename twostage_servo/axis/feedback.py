@@ -70,11 +70,11 @@ class FeedbackMonitor:
         """
         if counter is not None and self._counter is not None:
             step = (counter - self._counter) % self._modulus
-            if step == 0:  # also after a silence: a drive that repeats itself must not look fresh once a round
+            if step == 0:  # also after a silence: a drive that repeats itself must never look fresh
                 self.doubled += 1
                 self._errors_now += 1
                 return False
-            # After half a round of silence old and new can't be told apart any more, and any other starts afresh.
+            # After a silence of half the modulus old and new are ambiguous, and any other counter starts afresh.
             silent = self.ticks_since_fresh is None or self.ticks_since_fresh > self._modulus // 2
             if not silent:
                 if step > self._modulus // 2:

@@ -171,14 +171,14 @@ def repeat_counter(world: World, _: Random) -> None:
     world.change(frozen_counter=True)
 
 
-def roll_over_ahead(world: World) -> None:
-    """Shift what the encoder counts so that it rolls over a little way ahead of here, and tell the axis where it is.
+def wrap_ahead(world: World) -> None:
+    """Shift what the encoder counts so that it wraps a little way ahead of here, and tell the axis where it is.
 
     To be called while the axis is disarmed and at rest.
     """
     period = world.axis_loop.drive.traits.position_period
     place = world.drive.position
-    offset = period / 2.0 - place - world.roll_over_in
+    offset = period / 2.0 - place - world.wrap_in
     world.change(measure=lambda position: position + offset)
 
 

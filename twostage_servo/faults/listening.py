@@ -50,7 +50,7 @@ class Listener:
     Attributes
     ----------
     reports, orders
-        All frames so far, oldest first; positions are rolled out.
+        All frames so far, oldest first; positions are unwrapped.
     """
 
     def __init__(self, bus: BusSettings, profile: DriveProfile) -> None:
@@ -70,7 +70,7 @@ class Listener:
             with contextlib.suppress(FrameRejected):
                 if message.arbitration_id == self._profile.feedback_id.identifier:
                     feedback = self._profile.decode_feedback(message)
-                    position = self._roll_out(feedback.position)
+                    position = self._unwrap(feedback.position)
                     self.reports.append(Report(message.timestamp, position, feedback.enabled))
                 else:
                     command = self._profile.decode_command(message)
@@ -105,7 +105,7 @@ class Listener:
         times = [frame.time_s for frame in frames if begin_s <= frame.time_s <= end_s]
         return max((later - earlier for earlier, later in itertools.pairwise(times)), default=0.0)
 
-    def _roll_out(self, counted: float) -> float:
+    def _unwrap(self, counted: float) -> float:
         period = self._profile.traits.position_period
         if not period or not self.reports:
             return counted

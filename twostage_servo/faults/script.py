@@ -169,7 +169,7 @@ class Script:
     async def _prepare(self, world: World) -> None:
         ahead = {Phase.IDLE: 0.5, Phase.ACCELERATING: 0.02, Phase.CRUISING: 0.5, Phase.CHANGEOVER: 0.9}
         share = ahead.get(self._phase, 0.99)
-        world.roll_over_in = share * (world.target - world.start)
+        world.wrap_in = share * (world.target - world.start)
         assert self._fault.prepare is not None  # noqa: S101 - the caller has looked
         self._fault.prepare(world)
         await world.until(lambda: not world.axis.drive.is_stale, _READY_S)

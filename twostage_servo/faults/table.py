@@ -350,9 +350,9 @@ TABLE: tuple[Fault, ...] = (
     Fault(16, "transmit dead, receive alive", bus_faults.transmit_dead, _unheard, _command_timeout,
           note="the drive's own time-out stops it", shared=True),
     # The encoder
-    Fault(17, "counter rolls over", lambda *_: None, TOLERATED, _unnoticed, prepare=_D.roll_over_ahead,
+    Fault(17, "counter wraps", lambda *_: None, TOLERATED, _unnoticed, prepare=_D.wrap_ahead,
           needs=lambda profile, _: profile.traits.position_period > 0.0,
-          reason="the drive's position signal does not roll over"),
+          reason="the drive's position signal does not wrap"),
     Fault(18, "a single spike", _D.spike, TOLERATED, _bridged),
     Fault(19, "a jump that stays", _D.jump, QUICK, lambda budget: budget.implausible(),
           check=needs_homing, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED,

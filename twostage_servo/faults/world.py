@@ -69,8 +69,8 @@ class World:
         The service's task.
     start, target, velocity
         The move that is under way or next, in axis unit and axis unit/s.
-    roll_over_in
-        How far ahead the encoder shall roll over, in axis unit.
+    wrap_in
+        How far ahead the encoder shall wrap, in axis unit.
     fault_s
         When the fault began, in s.
     begun_s, fault_place
@@ -103,7 +103,7 @@ class World:
         self.keeps_samples = True
         self.serving = loop.serving
         self.start = self.target = self.velocity = 0.0
-        self.roll_over_in = 0.0
+        self.wrap_in = 0.0
         self.fault_s = self.begun_s = 0.0
         self.fault_place = 0.0
         self.undisturbed: Sequence[Sample] = ()

@@ -1,4 +1,4 @@
-"""How clients come to be served: let in, heard out, and given a place, in turns between the ticks.
+"""How clients come to be served: let in, heard out, and given a place, in slots between the ticks.
 
 All that they have meanwhile is bounded: of too many who are silent, the one that has been silent the longest goes.
 """
@@ -66,7 +66,7 @@ class ClientAdmission:
         self._log = structlog.get_logger().bind(room="control_socket")
 
     async def let_in(self, listener: socket.socket) -> None:
-        """Let clients in, in turns; the kernel keeps the others waiting."""
+        """Accept connections, each in a slot; the kernel keeps the others waiting."""
         with listener:
             door = ListeningSocket(listener, self._age)
             while True:

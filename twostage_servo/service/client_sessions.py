@@ -1,4 +1,4 @@
-"""The clients that are served: what each asks for is read, carried out and answered, in turns between the ticks."""
+"""The clients that are served: what each asks for is read, carried out and answered, in slots between the ticks."""
 
 import asyncio
 import contextlib
@@ -221,7 +221,7 @@ class ClientSessions:
         return not connection.has_line
 
     async def _answer(self, connection: Connection, request: Request) -> None:
-        """Carry a request out and answer it, in a turn for each piece of work: a tick may come between."""
+        """Carry a request out and answer it, in a slot for each piece of work: a tick may come between."""
         is_more = connection.busy = True
         refused = await self._requests.prepare(request, connection)
         connection.look()

@@ -29,7 +29,7 @@ class RequestAge:
 
     When bytes came the kernel does not say. But it is known since when they can have been there at the earliest: from
     the last moment at which there was nothing to be read. The age is counted from there, so it is never too small. In
-    a service whose loop turns round that is a few ticks more than the truth. In one that stood still as a whole
+    a service whose loop runs that is a few ticks more than the truth. In one that stood still as a whole
     (SIGSTOP, a machine that was suspended) it is the whole of that time, for whatever came meanwhile.
 
     Parameters

@@ -97,7 +97,7 @@ class SocketFile:
         Parameters
         ----------
         turn
-            Gives a turn between the ticks, in which to look.
+            Grants a slot between the ticks, in which to look.
         listen
             Begins to let clients in from a socket, and returns the task, which closes it.
         listening, listener

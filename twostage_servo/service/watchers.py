@@ -83,7 +83,7 @@ class Watchers:
         return bool(connection.every) and self._tick >= connection.due and not connection.busy
 
     def _work(self, due: "list[Connection]") -> None:
-        """Go on with what is due the longest, for as long as a turn should take."""
+        """Go on with what is due the longest, for as long as a slot should take."""
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._background.slice_s
         axis, since = due[0].axis, due[0].due

@@ -146,7 +146,7 @@ class Compiler:
     def index(self, feedback_position: SignalCodec) -> tuple[Frame | None, dict[str, SignalCodec]]:
         """Compile the index message, if there is one; returns it with the codec of each role.
 
-        Both positions come from one counter of the encoder: unit and roll-over must be those of the feedback.
+        Both positions come from one counter of the encoder: unit and wrap period must be those of the feedback.
         """
         table = self._settings.index
         if table.message is False:
@@ -155,7 +155,7 @@ class Compiler:
         position = self._position("index", table.position, frame.layout)
         units = (position.unit, feedback_position.unit)
         periods = tuple(f"{codec.period:.15g}" for codec in (position, feedback_position))
-        for what, (ours, theirs) in (("unit", units if all(units) else ("", "")), ("roll-over", periods)):
+        for what, (ours, theirs) in (("unit", units if all(units) else ("", "")), ("wrap period", periods)):
             if ours != theirs:
                 raise ProtocolError(
                     ("protocol", "index", "position"),

@@ -22,8 +22,8 @@ class DriveProfile:
     """A compiled protocol: frames to tuples and back, in one or two microseconds. Make one with :meth:`compile`.
 
     Every ``decode_`` method raises :class:`FrameRejected` and nothing else, whatever the frame. Values beyond what a
-    signal can carry are saturated by the ``encode_`` methods, counters are reduced by their modulus. A position rolls
-    over where its signal has all raw values of its bits, save one that is reserved for "position invalid".
+    signal can carry are saturated by the ``encode_`` methods, counters are reduced by their modulus. A position
+    wraps where its signal has all raw values of its bits, save one that is reserved for "position invalid".
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class DriveProfile:
     index_id, heartbeat_id : Identifier or None
         Identifiers of the index message and of the heartbeat; None when the drive has none.
     traits : DriveTraits
-        What an axis has to know of the drive beforehand. The position has a period where it rolls over: not as an IEEE
+        What an axis has to know of the drive beforehand. The position has a period where it wraps: not as an IEEE
         float, nor in a signal that its DBC limits to less than the range of its bits.
     command_counter_modulus, index_counter_modulus : int
         Number of values of the alive counter of command and index; 1 when there is none.

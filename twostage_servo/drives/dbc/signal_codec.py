@@ -48,7 +48,7 @@ class SignalCodec:
     choices : mapping of int to str
         The value table, raw value to text; empty when there is none.
     period : float
-        Width of the raw range, in physical units, of a position that rolls over; 0 for every other signal.
+        Width of the raw range, in physical units, of a position that wraps; 0 for every other signal.
     decode : callable
         ``decode(word) -> value``; raises :class:`UndecodableValue`.
     encode : callable
@@ -110,11 +110,11 @@ def quantity_codec(signal: Signal, shift: int, where: str, factor: float = 1) ->
 
 
 def position_codec(signal: Signal, shift: int, where: str, factor: float = 1) -> SignalCodec:
-    """Compile a signal that carries a position: like :func:`quantity_codec`, but it rolls over as an encoder does.
+    """Compile a signal that carries a position: like :func:`quantity_codec`, but it wraps as an encoder does.
 
-    An integer rolls over when the limits of the DBC leave out no more than one of its raw values: an excluded one, at
+    An integer wraps when the limits of the DBC leave out no more than one of its raw values: an excluded one, at
     either end, is reserved for "position invalid". A position that falls on it is sent as its neighbour. With narrower
-    limits there is no roll-over: the position saturates.
+    limits there is no wrap: the position saturates.
 
     NaN and infinity are sent as the reserved raw value, by an IEEE float as NaN; a signal that holds neither raises
     ValueError. Parameters, return value and errors are those of :func:`quantity_codec`.
@@ -137,8 +137,8 @@ def position_codec(signal: Signal, shift: int, where: str, factor: float = 1) ->
 
     def encode(value: float) -> int:
         raw = max(-_LARGEST_FLOATS[64], min(_LARGEST_FLOATS[64], (value - offset) / scale))
-        rolled_over = (round(raw) - first) % modulus + first
-        return (max(bottom, min(top, rolled_over)) & modulus - 1) << shift
+        wrapped = (round(raw) - first) % modulus + first
+        return (max(bottom, min(top, wrapped)) & modulus - 1) << shift
 
     return replace(codec, encode=_or_invalid(encode, invalid, where), period=modulus * codec.quantum)
 
