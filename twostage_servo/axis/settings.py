@@ -51,7 +51,7 @@ class ObserverSettings(Settings):
 
 
 class LimitSettings(Settings):
-    """What the axis must never exceed. All limits are mandatory."""
+    """What the axis must never exceed. Every limit is mandatory but `undetected_travel`, which only allows more."""
 
     renamed: ClassVar = {
         "innovation": "innovation_gate",

@@ -1,4 +1,4 @@
-"""The operator's verbs, clients of a running service: look at the axis, command it, bring it back after a trip."""
+"""The operator's verbs as they are typed; :mod:`~twostage_servo.cli.operator_verbs` carries them out."""
 
 import argparse
 import re
