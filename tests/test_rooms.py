@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tools.rooms.assignments import assignments
 from tools.rooms.imports import PACKAGE, Import, circles, imports_of
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
@@ -73,3 +74,53 @@ def test_two_circles_are_told_apart_and_a_package_counts_as_a_module(tmp_path: P
     made = package(tmp_path, sources)
     assert circles(made) == [["a", "b"], ["inner.d", "inner.e"]]
     assert Import("b", "inner.d", 2) in made
+
+
+def set_from_outside(folder: Path, source: str) -> list[str]:
+    (folder / "made").mkdir()
+    (folder / "made" / "a.py").write_text(source, "utf-8")
+    return [one.text for one in assignments(folder / "made")]
+
+
+def test_nobody_sets_an_attribute_of_another_object() -> None:
+    assert assignments(PACKAGE) == []
+
+
+PART = """
+class Part:
+    def __init__(self):
+        self.on_arrival = None
+"""
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("part.on_arrival = act\n", ["part.on_arrival"]),
+        ("whole.part.on_arrival += 1\n", ["whole.part.on_arrival"]),
+        ("before, part.on_arrival = part.on_arrival, act\n", ["part.on_arrival"]),
+        ("for part.on_arrival in acts: pass\n", ["part.on_arrival"]),
+        ("del part.on_arrival\n", ["part.on_arrival"]),
+        ("setattr(part, 'on_arrival', act)\n", ["setattr(part, 'on_arrival', act)"]),
+        ("setattr(part, name, act)\n", ["setattr(part, name, act)"]),
+        ("object.__setattr__(part, 'on_arrival', act)\n", ["object.__setattr__(part, 'on_arrival', act)"]),
+        ("part.listen(act)\n", []),
+        ("message.timestamp = 1.0\n", []),
+    ],
+)
+def test_an_assignment_from_outside_is_found(source: str, found: list[str], tmp_path: Path) -> None:
+    assert set_from_outside(tmp_path, PART + source) == found
+
+
+@pytest.mark.parametrize(
+    ("decorator", "found"),
+    [
+        ("@dataclass\n", []),
+        ("@dataclass(slots=True)\n", []),
+        ("@dataclass(frozen=True)\n", ["one.sent"]),
+        ("", ["one.sent"]),
+    ],
+)
+def test_a_field_of_a_record_may_be_set(decorator: str, found: list[str], tmp_path: Path) -> None:
+    source = f"{decorator}class Counters:\n    sent: int = 0\n\none.sent += 1\n"
+    assert set_from_outside(tmp_path, source) == found

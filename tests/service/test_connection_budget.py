@@ -58,8 +58,8 @@ def test_who_goes_first() -> None:
     async def script(ends: Ends) -> None:
         connections = Connections()
         holder, idle, later, busy, stopping, ended = (ends.connection(name) for name in "hilbse")
-        busy.busy = True
-        stopping.urgent = StopRequest()
+        busy.begin_answer()
+        stopping.hold_urgent(StopRequest())
         ended.ended = True
         for one in (holder, stopping, busy, idle, later, ended):
             connections.add(one)

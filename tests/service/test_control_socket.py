@@ -253,7 +253,8 @@ def test_idle_clients_make_room_for_whoever_wants_to_stop(path: Path) -> None:
         assert len(control._sessions._connections) == 64
         assert world.requests.authority.holder is not None  # the operator has not gone
         assert (await idle[0].ask(op="status"))["ok"]
-        assert any(client.every for client in control._sessions._connections)  # nor has the watcher, who reads
+        watches = control._sessions._watchers._watches
+        assert any(client in watches for client in control._sessions._connections)  # nor has the watcher, who reads
 
     serve(path, script)
 

@@ -163,8 +163,6 @@ class Watcher:
     """A connection that watches, as far as snapshots go."""
 
     def __init__(self) -> None:
-        self.every = self.due = 0
-        self.axis: str | None = None
         self.busy = False
         self.lines: list[bytes] = []
 
@@ -199,7 +197,8 @@ def test_what_was_begun_for_a_watcher_who_has_gone_is_shown_to_nobody_later(late
         watchers.begin(cast("Any", first), 1, None)
         if watched_before:
             watchers.begin(cast("Any", second), 5, None)
-            second.due = later + 1  # it has been sent one, and is not due before
+            sent = watchers._watches[cast("Any", second)]  # it has been sent one, and is not due before
+            watchers._watches[cast("Any", second)] = sent._replace(due=later + 1)
         for tick in (1, later):
             shown.now = tick
             watchers.publish(tick)

@@ -31,7 +31,7 @@ async def heard(
     place = wire.node("drive")
     cycle_s = drive._settings.cycle_ms / 1e3
     node = DriveNode(drive, link, cycle_s, arrival_s=(lambda: place.next_arrival_s) if sparse else None)
-    place.on_arrival = node.wake
+    place.listen(node.wake)
     drive_cycle = drive.cycle
 
     def counted(now_s: float) -> Any:

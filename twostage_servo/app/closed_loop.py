@@ -230,5 +230,5 @@ def _simulated(
         return SimulatedAxis(axis_loop, drive, DriveNode(drive, link, cycle_s))
     at = wire.node(name)
     node = DriveNode(drive, link, cycle_s, arrival_s=lambda: at.next_arrival_s - wires.wall_offset_s)
-    at.on_arrival = node.wake
+    at.listen(node.wake)
     return SimulatedAxis(axis_loop, drive, node)

@@ -180,11 +180,9 @@ class DriveReport:
     def take_over(self, former: "DriveReport") -> None:
         """Know what a former report of the same drive knew: settings may change, the drive and its place do not."""
         self.monitor = former.monitor
-        self.encoder.state, self.heartbeat.state, self.backlog = (
-            former.encoder.state,
-            former.heartbeat.state,
-            former.backlog,
-        )
+        self.encoder.take_over(former.encoder)
+        self.heartbeat.take_over(former.heartbeat)
+        self.backlog = former.backlog
         self.position, self.age_s, self.index = former.position, former.age_s, former.index
         self.enabled, self.fault_code, self.faulted = former.enabled, former.fault_code, former.faulted
         self.safe_torque_off, self.home_switch = former.safe_torque_off, former.home_switch

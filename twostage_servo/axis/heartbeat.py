@@ -69,6 +69,10 @@ class Heartbeat:
         state.boots += rebooted
         return rebooted
 
+    def take_over(self, former: "Heartbeat") -> None:
+        """Know what a former one of the same drive knew."""
+        self.state = former.state
+
     def forget(self) -> None:
         """Start afresh, as after the bus was lost."""
         self.state.ticks_since, self.state.is_heard = 0, False

@@ -97,7 +97,7 @@ class Motion:
         self._stands = False  # whether it was the same a sample before
         self._stands_at: float | None = None  # where the encoder stood still when it was given up
         self._speed_of_late = 0.0
-        self._tracking.was_outlier = False
+        self._tracking.forget_outlier()
         self._recent.clear()
 
     def start(self, effort: float = 0.0) -> None:

@@ -57,6 +57,10 @@ class Move:
         self.outcome = MoveOutcome.MOVING
         self.reason: str | None = None
 
+    def end(self, outcome: MoveOutcome, reason: str | None) -> None:
+        """Tell what has become of it."""
+        self.outcome, self.reason = outcome, reason
+
     def _values(self) -> tuple[object, ...]:
         return (self.number, self.kind, self.target, self.velocity, self.start, self.outcome, self.reason)
 

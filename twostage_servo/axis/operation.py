@@ -84,8 +84,7 @@ class Operation:
             self.homing.end()
             self.homing = None
         if self.move is not None and self.move.outcome is MoveOutcome.MOVING:
-            self.move.outcome = outcome
-            self.move.reason = reason
+            self.move.end(outcome, reason)
 
     def set_target(self, target: float, velocity: float) -> None:
         """Set out for a set-point in axis unit with a velocity in axis unit/s; the state stays as it is."""
@@ -96,8 +95,9 @@ class Operation:
         else:
             self._supervision.begin_move()
 
-    def begin_leg(self, target: float, velocity: float) -> None:
-        """Set out for a set-point, by whichever stage the law begins with."""
+    def begin_leg(self, target: float, velocity: float, final_target: float | None = None) -> None:
+        """Set out for a set-point, by whichever stage the law begins with; `final_target` is that of a leg after it."""
+        self.final_target = final_target
         self.set_target(target, velocity)
         self._machine.apply(Event.MOVE_SPEED if self._motion.law.stage is Stage.SPEED else Event.MOVE_POSITION)
 
@@ -105,7 +105,7 @@ class Operation:
         """Set out for the end of a move that has gone past its set-point first; return whether there is one."""
         if self.final_target is None or self.move is None:
             return False
-        target, self.final_target = self.final_target, None
+        target = self.final_target
         self._supervision.begin_move()  # it has come to rest here
         self.begin_leg(target, self.move.velocity)
         return True

@@ -134,8 +134,7 @@ class Requests:
         self.check_move(target, velocity)
         self._operation.end_move(MoveOutcome.REPLACED)
         first = self._first_target(target)
-        self._operation.final_target = target if first != target else None
-        self._operation.begin_leg(first, velocity)
+        self._operation.begin_leg(first, velocity, final_target=target if first != target else None)
         return self._operation.announce(MoveKind.MOVE, target, velocity)
 
     def check_move(self, target: float, velocity: float) -> None:

@@ -90,5 +90,5 @@ class SampleGap:
     def _begin(self, hidden_velocity: float) -> None:
         self._hidden_velocity = hidden_velocity
         self._error.reset(0.0)
-        self._error.velocity = hidden_velocity
+        self._error.correct(hidden_velocity, 0.0)
         self._open = True

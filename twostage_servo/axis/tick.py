@@ -70,7 +70,7 @@ class AxisTick:
     def begin(self, tick: int, missed: int) -> None:
         """Open a tick: its index, and how many were missed just before it."""
         motion = self._motion
-        self._latch.tick = tick
+        self._latch.begin_tick(tick)
         self._watch.begin_tick(missed)
         driven = self._machine.state in DRIVEN
         if missed and driven:

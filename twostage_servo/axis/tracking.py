@@ -82,6 +82,10 @@ class Tracking:
     def lose(self) -> None:
         """Start the observer afresh at the next sample: its estimate is invalid."""
         self.is_on = False
+        self.forget_outlier()
+
+    def forget_outlier(self) -> None:
+        """Take the next sample that is not where the model expects it for the first one."""
         self.was_outlier = False
 
     def shift(self, distance: float) -> None:

@@ -53,6 +53,10 @@ class TripLatch:
         self.escalation: Trip | None = None
         self.trips: dict[TripCode, Trip] = {}
 
+    def begin_tick(self, tick: int) -> None:
+        """Open the tick of this index."""
+        self.tick = tick
+
     def reset(self) -> None:
         """Forget all trips."""
         self.trip = self.escalation = None
@@ -64,7 +68,8 @@ class TripLatch:
         One that concerns a disabled drive stands beside the first in any case: it must not hide behind it.
         """
         rule, machine = RULES[code], self._machine
-        after = machine.next(Event.TRIP_WHILE_DISABLED if rule.while_disabled else EVENTS[rule.reaction])
+        event = Event.TRIP_WHILE_DISABLED if rule.while_disabled else EVENTS[rule.reaction]
+        after = machine.next(event)
         if after is None:
             return
         trip = Trip(code, cause, self.tick)
@@ -84,7 +89,8 @@ class TripLatch:
             return
         else:
             self.escalation = trip
-        before, machine.state = machine.state, after
+        before = machine.state
+        machine.apply(event)
         self._operation.end_move(MoveOutcome.TRIPPED, trip.cause)
         if machine.state in BRAKING and machine.state is not before:
             quick = machine.state is State.TRIPPED_QUICK_STOP

@@ -257,6 +257,14 @@ class TripFile:
         self.path: str | None = None
         self.error: str | None = None
 
+    def complete(self, path: str) -> None:
+        """Tell where it is: it is whole."""
+        self.path = path
+
+    def fail(self, error: str) -> None:
+        """Tell why it could not be written."""
+        self.error = error
+
 
 class Trip:
     """A latched fault, which is not changed. An operator's command reads its codes: data classes import too much.

@@ -89,6 +89,10 @@ class Unwrapping:
         distance, period = now - before, self._period
         return distance - period * round(distance / period) if period else distance
 
+    def take_over(self, former: "Unwrapping") -> None:
+        """Know what a former one of the same drive knew."""
+        self.state = former.state
+
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         self.state.origin += distance

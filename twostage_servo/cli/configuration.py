@@ -9,7 +9,7 @@ from twostage_servo.cli.output import CommandError, ExitCode, note
 from twostage_servo.config.files import find_configuration
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
     from twostage_servo.config.loader import Config, LoadedConfig
     from twostage_servo.config.machine import Machine
@@ -35,15 +35,15 @@ def add_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
-def load_configuration(options: argparse.Namespace) -> "LoadedConfig[Config]":
-    """Load what the options name, which is the configuration of one axis.
+def load_configuration(options: argparse.Namespace, defaults: "Sequence[str]" = ()) -> "LoadedConfig[Config]":
+    """Load what the options name, which is the configuration of one axis; see :func:`load_machine`.
 
     Raises
     ------
     CommandError
         With every problem of the configuration; or if it is that of a machine of several axes.
     """
-    machine = load_machine(options)
+    machine = load_machine(options, defaults)
     if machine.is_one_axis:
         return machine.axes[0]
     files = ", ".join(loaded.source for loaded in machine.axes)
@@ -51,10 +51,19 @@ def load_configuration(options: argparse.Namespace) -> "LoadedConfig[Config]":
     raise CommandError(ExitCode.USAGE, "config", text)
 
 
-def load_machine(options: argparse.Namespace) -> "Machine":
+def load_machine(options: argparse.Namespace, defaults: "Sequence[str]" = (), file: str | None = None) -> "Machine":
     """Load what the options name: the configuration of an axis, or of a machine of several.
 
     Keys under a former name are told on stderr, with the present one.
+
+    Parameters
+    ----------
+    options
+        With ``config`` and ``overrides``.
+    defaults
+        Overrides that those of the options override.
+    file
+        The configuration, where the options do not name it.
 
     Raises
     ------
@@ -64,7 +73,9 @@ def load_machine(options: argparse.Namespace) -> "Machine":
     from twostage_servo.config import machine
 
     with configuration_problems():
-        loaded = machine.load_machine(find_configuration(options.config), options.overrides)
+        loaded = machine.load_machine(
+            find_configuration(options.config if file is None else Path(file)), [*defaults, *options.overrides]
+        )
     for one in loaded.renamed:
         note(f"note: {one}")
     return loaded

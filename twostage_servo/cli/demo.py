@@ -52,9 +52,7 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.timing.ticks import real_time_loop
     from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
-    if not options.fast and options.config is None:
-        options.overrides = [*_PATIENCE, *options.overrides]
-    loaded = load_configuration(options)
+    loaded = load_configuration(options, () if options.fast or options.config is not None else _PATIENCE)
     if options.trace is not None:
         _write_trace(options.trace, [TRACE_FIELDS])  # a path that cannot be written is told before the move
     level = loaded.config.service.log_level

@@ -73,9 +73,7 @@ def _check(options: argparse.Namespace) -> ExitCode:
         return ExitCode.DONE
     if options.file is not None and options.config is not None:
         raise CommandError(ExitCode.USAGE, "usage", "name one configuration, FILE or --config FILE")
-    if options.file is not None:
-        options.config = Path(options.file)
-    machine = load_machine(options)
+    machine = load_machine(options, file=options.file)
     with configuration_problems():
         parts = build_parts(machine)
     summaries = [_summary(machine, loaded, parts.axis_loop(loaded.config.axis.name)) for loaded in machine.axes]

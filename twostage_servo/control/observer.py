@@ -163,6 +163,14 @@ class DisturbanceObserver:
         """Go on from another velocity and disturbance, in axis unit/s and effort unit, at the same position."""
         self.velocity, self.disturbance = velocity, disturbance
 
+    def go_on_from(self, position: float, velocity: float, disturbance: float) -> None:
+        """Go on from another estimate: axis unit, axis unit/s and effort unit."""
+        self.position, self.velocity, self.disturbance = position, velocity, disturbance
+
+    def place(self, position: float) -> None:
+        """Go on from another position, in axis unit, at the same velocity and disturbance."""
+        self.position = position
+
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         self.position += distance

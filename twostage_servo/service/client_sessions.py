@@ -61,7 +61,7 @@ class ClientSessions:
         self._background = background
         self._connections = Connections()
         self._watchers = Watchers(self._connections, requests.status, background)
-        self._serving: set[asyncio.Task[None]] = set()
+        self._serving: dict[Connection, asyncio.Task[None]] = {}
         self._log = structlog.get_logger().bind(room="control_socket")
 
     @property
@@ -86,7 +86,7 @@ class ClientSessions:
 
     async def stop(self) -> None:
         """End all sessions; waits for no client."""
-        tasks = list(self._serving)
+        tasks = list(self._serving.values())
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)
@@ -103,9 +103,8 @@ class ClientSessions:
         self._connections.add(connection)
         if request is None and connection.has_line:
             request = self.read(connection)
-        connection.task = task = asyncio.create_task(self._serve(connection, request))
-        self._serving.add(task)
-        task.add_done_callback(self._serving.discard)
+        task = self._serving[connection] = asyncio.create_task(self._serve(connection, request))
+        task.add_done_callback(lambda _: self._serving.pop(connection))
 
     def _least(self) -> Connection | None:
         """Return the connection that matters least, and has not asked for anything just now either."""
@@ -134,13 +133,14 @@ class ClientSessions:
         if not connection.busy:
             connection.write(_TOO_MANY)
         self._end(connection)
-        if connection.task is not None:
-            connection.task.cancel()
+        if (task := self._serving.get(connection)) is not None:
+            task.cancel()
         return True
 
     def _end(self, connection: Connection) -> None:
         if connection in self._connections:
             self._connections.discard(connection)
+            self._watchers.end(connection)
             self._requests.leave(connection.peer)
         connection.close()
 
@@ -188,7 +188,7 @@ class ClientSessions:
 
     def read(self, connection: Connection) -> Request | None:
         """Read once; return a request if there is one, and answer what is none."""
-        connection.read_s = asyncio.get_running_loop().time()
+        connection.begin_reading()
         if not connection.has_line:
             connection.receive()
         if connection.too_long:
@@ -205,7 +205,7 @@ class ClientSessions:
             connection.write(answers.failure(RefusalCode.BAD_REQUEST, str(error)))
             return None
         if priority_of(request) is Priority.URGENT:
-            connection.urgent = request
+            connection.hold_urgent(request)
         return request
 
     def _drop_readings(self, connection: Connection) -> bool:
@@ -222,7 +222,8 @@ class ClientSessions:
 
     async def _answer(self, connection: Connection, request: Request) -> None:
         """Carry a request out and answer it, in a slot for each piece of work: a tick may come between."""
-        is_more = connection.busy = True
+        is_more = True
+        connection.begin_answer()
         refused = await self._requests.prepare(request, connection)
         connection.look()
         pieces: Iterator[bytes] | None = None if refused is None else refused.pieces
@@ -231,7 +232,7 @@ class ClientSessions:
                 if connection.closed:
                     return  # it has been told that its connection ends, and must not set an axis moving after that
                 if pieces is None:
-                    connection.urgent = None
+                    connection.release_urgent()
                     pieces, done, axis_loop = self._requests.answer(request, connection)
                     if done and isinstance(request, WatchRequest):
                         self._watchers.begin(connection, request.every, axis_loop)
@@ -239,7 +240,7 @@ class ClientSessions:
             await connection.taken()
             connection.look()
             await asyncio.sleep(0)
-        connection.busy = False
+        connection.end_answer()
 
     def _send_some(self, connection: Connection, pieces: Iterator[bytes]) -> bool:
         """Make and send some pieces of an answer; return whether there may be more."""

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from twostage_servo.api.requests import Request
-    from twostage_servo.service.axis_loop import AxisLoop
     from twostage_servo.service.request_age import RequestAge
 
 _CREDENTIALS: Final = struct.Struct("3i")  # ucred of unix(7): process, user, group
@@ -60,12 +59,8 @@ class Connection:
         In the middle of an answer.
     urgent
         A request that has been read, is not carried out yet, and must be.
-    every, axis, due
-        What it watches: ticks between two snapshots, 0 for nothing; the axis, None for all; the tick of the next one.
     unsent
         Snapshots that it was not sent, because it did not read.
-    task
-        Serves it.
     """
 
     def __init__(self, stream: socket.socket, number: int, longest: int, age: "RequestAge", empty_s: float) -> None:
@@ -81,11 +76,9 @@ class Connection:
         self._readers: set[asyncio.Future[None]] = set()  # those who wait for something to read
         self._takers: set[asyncio.Future[None]] = set()  # those who wait until all is taken
         self.ended = self.closed = self.busy = False
-        self.every = self.due = self.unsent = 0
+        self.unsent = 0
         self.read_s = -math.inf
-        self.axis: AxisLoop | None = None
         self.urgent: Request | None = None
-        self.task: asyncio.Task[None] | None = None
         self.peer = ""
 
     def identify(self) -> None:
@@ -93,6 +86,28 @@ class Connection:
         credentials = self._stream.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         process, user, _ = _CREDENTIALS.unpack(credentials)
         self.peer = f"pid {process} uid {user} #{self._number}"
+
+    # Requests --------------------------------------------------------------------------------------------------------
+
+    def begin_reading(self) -> None:
+        """Note that it is read now."""
+        self.read_s = asyncio.get_running_loop().time()
+
+    def hold_urgent(self, request: "Request") -> None:
+        """Keep a request that must be carried out, even if this connection has to end."""
+        self.urgent = request
+
+    def release_urgent(self) -> None:
+        """Note that such a request, if there was one, is carried out now."""
+        self.urgent = None
+
+    def begin_answer(self) -> None:
+        """Note that an answer has begun."""
+        self.busy = True
+
+    def end_answer(self) -> None:
+        """Note that the answer is whole."""
+        self.busy = False
 
     # Reading ---------------------------------------------------------------------------------------------------------
 

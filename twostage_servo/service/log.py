@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, MutableMapping
+from dataclasses import dataclass
 from typing import Any, Final, TextIO
 
 import structlog
@@ -33,15 +34,18 @@ class LogWriter:
     ----------
     dropped
         Lines that were lost; a line that has room again is followed by one that tells their number.
-    restore
-        Gives the process its former logging back.
     """
 
-    def __init__(self, stream: "TextIO | JournalStream", capacity: int = 1000) -> None:
+    def __init__(
+        self,
+        stream: "TextIO | JournalStream",
+        capacity: int = 1000,
+        restore: Callable[[], None] = structlog.reset_defaults,
+    ) -> None:
         self._stream = stream
         self._queue: queue.Queue[str | None] = queue.Queue(capacity)
         self.dropped = self._told = 0
-        self.restore: Callable[[], None] = structlog.reset_defaults
+        self._restore = restore
         self._thread = threading.Thread(target=self._write, name="log", daemon=True)
         self._thread.start()
 
@@ -60,7 +64,7 @@ class LogWriter:
 
     def close(self, timeout_s: float = 1.0) -> None:
         """Write what is waiting, for at most `timeout_s`, and give the process its former logging back."""
-        self.restore()
+        self._restore()
         try:
             self._queue.put(_END, timeout=timeout_s)
         except queue.Full:
@@ -140,13 +144,11 @@ def _kind(method: str, event: MutableMapping[str, Any]) -> tuple[str, ...]:
     return method, *(str(event.get(key)) for key in keys)
 
 
+@dataclass(slots=True)
 class _Window:
-    __slots__ = ("ends_s", "left_out", "let_through")
-
-    def __init__(self, ends_s: float) -> None:
-        self.ends_s = ends_s
-        self.let_through = 1
-        self.left_out = 0
+    ends_s: float
+    let_through: int = 1
+    left_out: int = 0
 
 
 def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> LogWriter:
@@ -167,21 +169,8 @@ def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> 
     stream = stream or sys.stderr
     for_eyes = stream.isatty()
     render = _for_eyes if for_eyes else _as_json
-    writer = LogWriter(JournalStream(stream) if goes_to_the_journal(stream) else stream, capacity)
     least = logging.getLevelNamesMapping()[level.upper()]
     outer = structlog.get_config() if structlog.is_configured() else None
-    structlog.configure(
-        processors=[
-            RateLimit(),
-            _without_mark,
-            structlog.processors.add_log_level,
-            structlog.processors.TimeStamper(fmt="iso", utc=not for_eyes),
-            structlog.processors.format_exc_info,
-            render,
-        ],
-        wrapper_class=structlog.make_filtering_bound_logger(least),
-        logger_factory=lambda *_: writer,
-    )
     root, from_can = logging.getLogger(), logging.getLogger("can")
     before = root.handlers[:], root.level, from_can.level
 
@@ -194,7 +183,19 @@ def open_log(level: str, stream: TextIO | None = None, capacity: int = 1000) -> 
         root.setLevel(root_level)
         from_can.setLevel(can_level)
 
-    writer.restore = restore
+    writer = LogWriter(JournalStream(stream) if goes_to_the_journal(stream) else stream, capacity, restore)
+    structlog.configure(
+        processors=[
+            RateLimit(),
+            _without_mark,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=not for_eyes),
+            structlog.processors.format_exc_info,
+            render,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(least),
+        logger_factory=lambda *_: writer,
+    )
     root.handlers[:] = [_FromStandardLibrary()]
     root.setLevel(max(least, logging.INFO))
     from_can.setLevel(logging.CRITICAL)  # it logs each error that it raises; the link reports it once, with what to do

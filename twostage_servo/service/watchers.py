@@ -27,6 +27,14 @@ class _Begun(NamedTuple):
     made: list[bytes]
 
 
+class _Watch(NamedTuple):
+    """What a connection watches: a snapshot each `every` ticks of an axis, None for all; when the next one is due."""
+
+    every: int
+    axis: "AxisLoop | None"
+    due: int
+
+
 class Watchers:
     """Sends a snapshot to each connection for which one is due; where time is short it comes later.
 
@@ -49,12 +57,17 @@ class Watchers:
         self._background = background
         self._tick = 0
         self._due = asyncio.Event()
+        self._watches: dict[Connection, _Watch] = {}
         self._begun: dict[AxisLoop | None, _Begun] = {}
         self._lines: dict[AxisLoop | None, tuple[int, bytes]] = {}  # with the tick since which each was made
 
     def begin(self, connection: "Connection", every: int, axis: "AxisLoop | None") -> None:
         """Let a connection have a snapshot each `every` ticks, from the next tick on."""
-        connection.every, connection.axis, connection.due = every, axis, self._tick + 1
+        self._watches[connection] = _Watch(every, axis, self._tick + 1)
+
+    def end(self, connection: "Connection") -> None:
+        """Let a connection have no more snapshots."""
+        self._watches.pop(connection, None)
 
     def publish(self, tick: int) -> None:
         """Take notice of a tick; only here is a snapshot found to be due."""
@@ -74,26 +87,29 @@ class Watchers:
         while True:
             await self._due.wait()
             self._due.clear()
-            while due := sorted(filter(self._is_due, self._connections), key=lambda one: one.due):
+            while due := sorted(filter(self._is_due, self._connections), key=lambda one: self._watches[one].due):
                 async with self._background.slot(Priority.WATCHING):
                     self._work(due)
                 await asyncio.sleep(0)
 
     def _is_due(self, connection: "Connection") -> bool:
-        return bool(connection.every) and self._tick >= connection.due and not connection.busy
+        watch = self._watches.get(connection)
+        return watch is not None and self._tick >= watch.due and not connection.busy
 
     def _work(self, due: "list[Connection]") -> None:
         """Go on with what is due the longest, for as long as a slot should take."""
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._background.slice_s
-        axis, since = due[0].axis, due[0].due
+        _, axis, since = self._watches[due[0]]
         if axis not in self._lines or self._lines[axis][0] < since:
             self._make(axis, since, until_s)
         if axis not in self._lines or self._lines[axis][0] < since:
             return
         tick, line = self._lines[axis]
-        for connection in [one for one in due if one.axis is axis and one.due <= tick][:_MOST_A_TURN]:
-            connection.due = self._tick + connection.every
+        shown = [one for one in due if self._watches[one].axis is axis and self._watches[one].due <= tick]
+        for connection in shown[:_MOST_A_TURN]:
+            watch = self._watches[connection]
+            self._watches[connection] = watch._replace(due=self._tick + watch.every)
             if connection.send_snapshot(line):
                 self._connections.touch(connection)
             if clock() >= until_s:

@@ -88,8 +88,6 @@ class WireNode:
         Oldest frames lost because nobody read them and the queue was full.
     queue_length : int
         Frames that wait to be read at most.
-    on_arrival : callable or None
-        Called for each frame that is on its way to this node.
     """
 
     def __init__(self, wire: Wire) -> None:
@@ -98,7 +96,7 @@ class WireNode:
         self.is_attached = False
         self.dropped = 0
         self.queue_length = _QUEUE_LENGTH
-        self.on_arrival: Callable[[], None] | None = None
+        self._listeners: list[Callable[[], None]] = []
         self._wire = wire
         self._down = False
         self._queue: list[tuple[float, int, can.Message]] = []  # a heap: (time of arrival, number, message)
@@ -114,6 +112,10 @@ class WireNode:
         self._down = down
         self._queue.clear()
 
+    def listen(self, listener: Callable[[], None]) -> None:
+        """Call a listener for each frame that is on its way to this node, from now on."""
+        self._listeners.append(listener)
+
     def inject(self, message: can.Message) -> None:
         """Let a frame of any kind arrive at this node alone, now: an error frame, a foreign command, babble."""
         self.enqueue(_arriving(message, self._wire.clock()))
@@ -127,8 +129,8 @@ class WireNode:
         if len(self._queue) > self.queue_length:
             heapq.heappop(self._queue)
             self.dropped += 1
-        if self.on_arrival is not None:
-            self.on_arrival()
+        for listener in self._listeners:
+            listener()
 
     @property
     def next_arrival_s(self) -> float:

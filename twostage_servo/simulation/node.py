@@ -1,6 +1,7 @@
 """The simulated drive as a node on a bus: an asyncio task that runs the firmware cycle over its own link."""
 
 import asyncio
+import functools
 import logging
 from collections.abc import Callable
 
@@ -45,16 +46,15 @@ class DriveNode:
         self._drive = drive
         self._link = link
         self._observer = observer
-        self._ticks: Ticks = Ticks(cycle_s)
-        if arrival_s is not None:
-            self._ticks = sparse = SparseTicks(cycle_s)
-            sparse.due_s = lambda: min(drive.due_s, arrival_s()) if link.is_open else self._reopen_at_s
         self._timeouts_reported = 0
         self._error_reported: str | None = None
         self._reopen_s = link.settings.reopen_interval_ms / 1e3
         self._reopen_at_s = 0.0
         self._opening: asyncio.Task[None] | None = None
         self._is_stopped = False
+        self._ticks = (
+            Ticks(cycle_s) if arrival_s is None else SparseTicks(cycle_s, functools.partial(self._due_s, arrival_s))
+        )
 
     async def run(self) -> None:
         """Run until :meth:`stop`."""
@@ -80,6 +80,10 @@ class DriveNode:
         self._ticks.stop()
         if self._opening is not None:
             self._opening.cancel()
+
+    def _due_s(self, arrival_s: Callable[[], float]) -> float:
+        """Return when something is due next, on the loop's clock in s."""
+        return min(self._drive.due_s, arrival_s()) if self._link.is_open else self._reopen_at_s
 
     def _cycle(self, now_s: float) -> None:
         drive, link = self._drive, self._link

@@ -76,6 +76,10 @@ class TruePlant:
         self._pole = pole
         self._coulomb_friction = coulomb_friction
 
+    def halt(self) -> None:
+        """Stand still at once, where it is."""
+        self.velocity = 0.0
+
     def advance(self, duration_s: float, effort: float) -> float:
         """Move on by `duration_s` at constant effort. Exact for any duration: there is no step size to choose.
 

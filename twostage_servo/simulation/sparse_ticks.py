@@ -2,12 +2,9 @@
 
 import asyncio
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from twostage_servo.timing.ticks import Tick, Ticks
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 _EARLY_PERIODS = 1e-6
 
@@ -18,17 +15,19 @@ class SparseTicks(Ticks):
     The one before a deadline is served as well, so that what is due at the same instant as something else keeps its
     order: as it would with every tick, its timer is set one period before.
 
-    Attributes
+    Parameters
     ----------
+    period_s
+        Period, s.
     due_s
         Gives the loop's time at which something is due next, in s; it may lie in the past.
     """
 
-    __slots__ = ("due_s",)
+    __slots__ = ("_due_s",)
 
-    def __init__(self, period_s: float) -> None:
+    def __init__(self, period_s: float, due_s: Callable[[], float]) -> None:
         super().__init__(period_s)
-        self.due_s: Callable[[], float] = lambda: -math.inf
+        self._due_s = due_s
 
     async def __anext__(self) -> Tick:
         """Wait for the next tick that is needed."""
@@ -39,7 +38,7 @@ class SparseTicks(Ticks):
             now_s, first = loop.time(), self._index + 1
             # A tick that has passed unneeded is gone, as an idle one would be.
             first = max(first, math.ceil((now_s - self._start_s) / self.period_s - _EARLY_PERIODS))
-            due = self.due_s()
+            due = self._due_s()
             index = first
             if due > now_s:
                 index = max(first, math.ceil((due - self._start_s) / self.period_s - _EARLY_PERIODS) - 1)

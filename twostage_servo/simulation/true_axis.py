@@ -69,7 +69,7 @@ class TrueAxis:
         friction = self._settings.coulomb_friction if faults.coulomb_friction is None else faults.coulomb_friction
         self._plant.change(self._settings.gain * faults.gain_factor, self._settings.pole * faults.pole_factor, friction)
         if faults.stalled:
-            self._plant.velocity = 0.0
+            self._plant.halt()
         self._faults = faults
 
     @property

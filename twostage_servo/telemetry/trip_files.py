@@ -115,7 +115,8 @@ class TripFiles:
     def fail(self, name: str, error: BaseException, file: TripFile) -> None:
         """Tell that a file could not be written, and why."""
         why = str(error) or ("no memory is left" if isinstance(error, MemoryError) else type(error).__name__)
-        self.error = file.error = f"no trip file can be written in {self.folder}: {why}"
+        self.error = f"no trip file can be written in {self.folder}: {why}"
+        file.fail(self.error)
         self._log.error("no trip file", trip=name, error=self.error)
 
     def close(self) -> None:
@@ -131,7 +132,7 @@ class TripFiles:
             self.fail(name, error, file)
         else:
             self.latest, self.error = future.result(), None
-            file.path = str(self.latest)
+            file.complete(str(self.latest))
             self._log.info("trip file", trip=name, path=file.path)
 
 

@@ -74,7 +74,7 @@ class Ticks:
     Attributes
     ----------
     margin : WakeMargin or None
-        As given; whoever runs the ticks in real time may set it before the first one.
+        As given.
 
     Raises
     ------

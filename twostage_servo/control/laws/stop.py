@@ -117,6 +117,10 @@ class Stop:
         self.state.speed_reference = velocity
         self.state.ticks_at_rest = 0
 
+    def go_on_at(self, velocity: float) -> None:
+        """Go on from another estimated velocity, in axis unit/s."""
+        self.state.speed_reference = velocity
+
     def aim(self, deceleration: float, friction: float, *, gradual: bool) -> None:
         """Take the slope of the ramp, the friction and the end, as in :meth:`~.law.Law.stop`; also in mid-stop."""
         state = self.state
@@ -128,7 +132,8 @@ class Stop:
         """Give the observer a sample (axis unit) and the effort that acted; its friction goes with the speed."""
         before = observer.velocity
         observer.update(sample, effort)
-        observer.disturbance += self.state.friction * (observer.velocity - before)
+        now = observer.velocity
+        observer.correct(now, observer.disturbance + self.state.friction * (now - before))
 
     def is_over(self, velocity: float) -> bool:
         """Whether the axis has come to rest, by an estimated velocity in axis unit/s; asked once a period."""

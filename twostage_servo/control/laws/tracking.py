@@ -125,7 +125,8 @@ class TrackingLaw:
     def go_on_at(self, velocity: float, disturbance: float) -> None:
         """Go on from another estimate: axis unit/s and effort unit; also where a stop by the former one has begun."""
         self.observer.correct(velocity, disturbance)
-        self.speed_reference = self.stop_stage.state.speed_reference = velocity
+        self.speed_reference = velocity
+        self.stop_stage.go_on_at(velocity)
 
     def continue_from(self, other: "TrackingLaw") -> None:
         """Take over the whole state of another law of the same design, its estimate included."""

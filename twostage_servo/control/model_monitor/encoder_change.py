@@ -130,18 +130,16 @@ class EncoderChange:
 
         While it begins anew with each sample, which is nearly always, they would do so for nothing.
         """
-        observer, truth, velocity = self._observer, self._truth, self._velocity
-        observer.position = self._position - self._step * velocity
-        observer.velocity = self.factor * velocity
-        truth.position, truth.velocity = self._position, velocity
-        observer.disturbance = truth.disturbance = self._disturbance
+        position, velocity, disturbance = self._position, self._velocity, self._disturbance
+        self._observer.go_on_from(position - self._step * velocity, self.factor * velocity, disturbance)
+        self._truth.go_on_from(position, velocity, disturbance)
         self._has_set_out = True
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         self._position += distance
-        self._observer.position += distance
-        self._truth.position += distance
+        self._observer.shift(distance)
+        self._truth.shift(distance)
 
     def predict(self, effort: float) -> None:
         """Account for a period without a sample, in which an effort (effort unit) acted."""
@@ -204,7 +202,7 @@ class EncoderChange:
         distance = sample - observer.position
         jump = self._nominal_step * self._velocity
         if min(0.0, jump) < distance < max(0.0, jump):
-            observer.position = sample
+            observer.place(sample)
             self._in_part = True
 
     def evidence(self) -> float:

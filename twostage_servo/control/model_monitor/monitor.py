@@ -132,9 +132,9 @@ class ModelMonitor:
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         for observer, _ in self._accepted:
-            observer.position += distance
+            observer.shift(distance)
         for observer in self._gains:
-            observer.position += distance
+            observer.shift(distance)
         for change in self._changes:
             change.shift(distance)
         self._sample += distance
