@@ -8,6 +8,7 @@ import structlog
 
 from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.service.disabled_report import DisabledReport
+from twostage_servo.timing.ticks import Tick
 
 EVERY = 1000
 """Ticks of 10 ms in 10 s."""
@@ -19,15 +20,19 @@ class Told:
 
     def __init__(self, period_s: float = 0.01) -> None:
         limits = SimpleNamespace(limits=SimpleNamespace(innovation_gate=0.5), unit="mm")
-        self.axis: Any = SimpleNamespace(lasting=(), trips={}, disabled=SimpleNamespace(moved=None), settings=limits)
-        self.report = DisabledReport("x", period_s)
+        self.axis: Any = SimpleNamespace(
+            lasting=(), trips={}, disabled=SimpleNamespace(moved=None), settings=limits,
+            design=SimpleNamespace(period_s=period_s),
+        )  # fmt: skip
+        axis_loop: Any = SimpleNamespace(name="x", axis=self.axis)
+        self.report = DisabledReport(axis_loop)
 
     def lasts(self, *codes: TripCode) -> None:
         self.axis.lasting = tuple(Trip(code, f"cause of {code}", 7) for code in codes)
 
     def tick(self, index: int) -> list[dict[str, Any]]:
         with structlog.testing.capture_logs() as logs:
-            self.report.report(index, self.axis)
+            self.report.publish(Tick(index, 0.0, 0.0, 0))
         return [dict(line) for line in logs]
 
     def ticks_with_a_line(self, first: int, last: int) -> list[int]:

@@ -20,10 +20,9 @@ class Told:
 
     def __init__(self) -> None:
         self.axis: Any = SimpleNamespace(
-            state=State.DISARMED, trip=None, trips={}, escalation=None, lasting=(),
-            disabled=SimpleNamespace(moved=None),
+            state=State.DISARMED, trip=None, trips={}, escalation=None,
             reference=SimpleNamespace(source=ReferenceSource.ENCODER, lost_because=""),
-            drive=SimpleNamespace(is_stale=True), design=SimpleNamespace(period_s=0.01),
+            drive=SimpleNamespace(is_stale=True),
         )  # fmt: skip
         axis_loop: Any = SimpleNamespace(name="x", axis=self.axis)
         self.event_log = EventLog(axis_loop)

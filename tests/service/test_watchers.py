@@ -159,6 +159,20 @@ class FewPieces:
             self._then.pop()()
 
 
+class OneSlot:
+    """Time that is given once something has happened."""
+
+    slice_s = 0.0
+
+    def __init__(self, before: Callable[[], None]) -> None:
+        self._before = before
+
+    @contextlib.asynccontextmanager
+    async def slot(self, _: Priority) -> AsyncIterator[None]:
+        self._before()
+        yield
+
+
 class Watcher:
     """A connection that watches, as far as snapshots go."""
 
@@ -232,3 +246,31 @@ def test_whoever_begins_to_watch_is_not_shown_what_another_was_shown_before_in_t
 
     run(script())
     assert (first.lines, second.lines) == ([b"1 1"], [b"2 2"])
+
+
+@pytest.mark.parametrize("begins_anew", [False, True])
+def test_who_ends_while_the_snapshot_waits_for_its_time_is_sent_none(*, begins_anew: bool) -> None:
+    first, second, shown = Watcher(), Watcher(), Shown()
+    book: Any = type("Book", (dict,), {"touch": lambda *_: None})({first: None, second: None})
+
+    def end() -> None:
+        if shown.now == 1 and not first.lines:
+            watchers.end(cast("Any", first))
+            if begins_anew:
+                watchers.begin(cast("Any", first), 10, None)
+
+    watchers = Watchers(book, cast("Any", shown), cast("Any", OneSlot(end)))
+    watchers.begin(cast("Any", first), 10, None)
+    watchers.begin(cast("Any", second), 10, None)
+
+    async def script() -> None:
+        working = asyncio.create_task(watchers.run())
+        for tick in (1, 2):
+            shown.now = tick
+            watchers.publish(tick)
+            await asyncio.sleep(0.001)
+            assert not working.done()
+        working.cancel()
+
+    run(script())
+    assert (first.lines, second.lines) == ([b"2 2"] if begins_anew else [], [b"1 1"])

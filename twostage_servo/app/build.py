@@ -20,6 +20,7 @@ from twostage_servo.service.axis_group import AxisGroup
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.background_server import BackgroundServer
 from twostage_servo.service.bus_connection import BusConnection, FrameObserver
+from twostage_servo.service.disabled_report import DisabledReport
 from twostage_servo.service.event_log import EventLog
 from twostage_servo.service.reload import Change, Reload
 from twostage_servo.service.request_age import RequestAge, no_time_asleep
@@ -192,7 +193,11 @@ def build_service(
     """
     own: list[Publisher] = []
     for axis_loop in parts.axis_loops:
-        own += [EventLog(axis_loop).publish, TripRecorder(axis_loop, snapshot, trip_files).publish]
+        own += [
+            EventLog(axis_loop).publish,
+            DisabledReport(axis_loop).publish,
+            TripRecorder(axis_loop, snapshot, trip_files).publish,
+        ]
     return ServoService(
         parts.buses,
         parts.axis_loops,

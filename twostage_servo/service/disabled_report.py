@@ -4,34 +4,41 @@ from typing import TYPE_CHECKING
 
 import structlog
 
+from twostage_servo.timing.ticks import Tick
+
 if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis
     from twostage_servo.axis.trips import TripCode
+    from twostage_servo.service.axis_loop import AxisLoop
 
 REPEATED_AFTER_S = 10.0
 """Time between two lines about the same, in s."""
 
 
 class DisabledReport:
-    """Looks at what lasts on the drive of an axis, and at motion while it is disabled.
+    """Looks, after each tick, at what lasts on the drive of an axis, and at motion while it is disabled.
 
     Parameters
     ----------
-    name
-        The axis' name.
-    period_s
-        Length of a tick in s.
+    axis_loop
+        The axis with what belongs to it.
     """
 
-    def __init__(self, name: str, period_s: float) -> None:
-        self._log = structlog.get_logger().bind(axis=name)
-        self._every = round(REPEATED_AFTER_S / period_s)
+    def __init__(self, axis_loop: "AxisLoop") -> None:
+        self._axis_loop = axis_loop
+        self._log = structlog.get_logger().bind(axis=axis_loop.name)
+        self._every = round(REPEATED_AFTER_S / axis_loop.axis.design.period_s)
         self._next: dict[TripCode, int] = {}
         self._moved: float | None = None
         self._next_motion = 0
 
-    def report(self, tick_index: int, axis: "Axis") -> None:
+    def publish(self, tick: Tick) -> None:
         """Report what is so in this tick, unless it has been told of late."""
+        axis = self._axis_loop.axis
+        self._report_what_lasts(tick.index, axis)
+        self._report_motion(tick.index, axis)
+
+    def _report_what_lasts(self, tick_index: int, axis: "Axis") -> None:
         lasting = axis.lasting
         if lasting or self._next:
             # Of what has tripped the first line is that of the trip.
@@ -42,7 +49,6 @@ class DisabledReport:
                 self._next[one.code] = tick_index + self._every
                 text = "the trip lasts" if one.code in axis.trips else "this lasts, and has not tripped the axis"
                 self._log.error(text, tick=tick_index, code=one.code, cause=one.cause, next_action=one.next_action)
-        self._report_motion(tick_index, axis)
 
     def _report_motion(self, tick_index: int, axis: "Axis") -> None:
         moved = axis.disabled.moved

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 import structlog
 
 from twostage_servo.axis.reference import ReferenceSource
-from twostage_servo.service.disabled_report import DisabledReport
 from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
@@ -31,7 +30,6 @@ class EventLog:
         self._source: ReferenceSource | None = None
         self._lost_because: str | None = None
         self._stale = True
-        self._disabled = DisabledReport(axis_loop.name, axis_loop.axis.design.period_s)
 
     def publish(self, tick: Tick) -> None:
         """Report what has changed since the last tick."""
@@ -44,7 +42,6 @@ class EventLog:
         if axis.drive.is_stale is not self._stale:
             self._stale = axis.drive.is_stale
             self._log.warning("feedback stale" if self._stale else "feedback fresh", tick=tick.index)
-        self._disabled.report(tick.index, axis)
 
     def _report_reference(self, tick: Tick) -> None:
         reference = self._axis_loop.axis.reference

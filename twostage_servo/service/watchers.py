@@ -30,6 +30,7 @@ class _Begun(NamedTuple):
 class _Watch(NamedTuple):
     """What a connection watches: a snapshot each `every` ticks of an axis, None for all; when the next one is due."""
 
+    connection: "Connection"
     every: int
     axis: "AxisLoop | None"
     due: int
@@ -63,7 +64,7 @@ class Watchers:
 
     def begin(self, connection: "Connection", every: int, axis: "AxisLoop | None") -> None:
         """Let a connection have a snapshot each `every` ticks, from the next tick on."""
-        self._watches[connection] = _Watch(every, axis, self._tick + 1)
+        self._watches[connection] = _Watch(connection, every, axis, self._tick + 1)
 
     def end(self, connection: "Connection") -> None:
         """Let a connection have no more snapshots."""
@@ -73,7 +74,7 @@ class Watchers:
         """Take notice of a tick; only here is a snapshot found to be due."""
         self._tick = tick
         self._lines.clear()
-        if any(self._is_due(connection) for connection in self._connections):
+        if any(self._all_due()):
             self._due.set()
 
     async def run(self) -> None:
@@ -87,28 +88,33 @@ class Watchers:
         while True:
             await self._due.wait()
             self._due.clear()
-            while due := sorted(filter(self._is_due, self._connections), key=lambda one: self._watches[one].due):
+            while due := sorted(self._all_due(), key=lambda watch: watch.due):
                 async with self._background.slot(Priority.WATCHING):
                     self._work(due)
                 await asyncio.sleep(0)
 
-    def _is_due(self, connection: "Connection") -> bool:
-        watch = self._watches.get(connection)
-        return watch is not None and self._tick >= watch.due and not connection.busy
+    def _all_due(self) -> "Iterator[_Watch]":
+        for connection in self._connections:
+            watch = self._watches.get(connection)
+            if watch is not None and self._tick >= watch.due and not connection.busy:
+                yield watch
 
-    def _work(self, due: "list[Connection]") -> None:
+    def _work(self, due: "list[_Watch]") -> None:
         """Go on with what is due the longest, for as long as a slot should take."""
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._background.slice_s
-        _, axis, since = self._watches[due[0]]
+        axis, since = due[0].axis, due[0].due
         if axis not in self._lines or self._lines[axis][0] < since:
             self._make(axis, since, until_s)
         if axis not in self._lines or self._lines[axis][0] < since:
             return
         tick, line = self._lines[axis]
-        shown = [one for one in due if self._watches[one].axis is axis and self._watches[one].due <= tick]
-        for connection in shown[:_MOST_A_TURN]:
-            watch = self._watches[connection]
+        # One may have ended, or begun anew, while this waited for its time.
+        shown = [
+            one for one in due if one is self._watches.get(one.connection) and one.axis is axis and one.due <= tick
+        ]
+        for watch in shown[:_MOST_A_TURN]:
+            connection = watch.connection
             self._watches[connection] = watch._replace(due=self._tick + watch.every)
             if connection.send_snapshot(line):
                 self._connections.touch(connection)
