@@ -21,6 +21,7 @@ import can
 import cantools
 import pytest
 
+from tests.drives_of_others import install
 from twostage_servo.canbus.socketcand import SocketcandBus
 
 pytestmark = pytest.mark.processes
@@ -294,6 +295,22 @@ def test_a_session_across_three_processes(machine: Machine, tmp_path: Path) -> N
     assert max(feedback["Position"] for feedback in decoded["DriveFeedback"]) > 100.0
     assert {str(command["Enable"]) for command in decoded["DriveCommand"]} == {"Enable", "Disable"}
     assert decoded["DriveHeartbeat"]
+
+
+def test_a_drive_of_another_package_across_three_processes(machine: Machine, tmp_path: Path) -> None:
+    """`run`, `drive` and the operator's verbs know no type of drives."""
+    packages = tmp_path / "packages"
+    packages.mkdir()
+    install(packages, "node = node_drive:DRIVE")
+    machine.environment["PYTHONPATH"] = str(packages)
+    with machine.config.open("a", encoding="utf-8") as file:
+        file.write('\n[protocol]\ntype = "node"\nnode = 5\n')
+    drive = machine.drive()
+    service = machine.service()
+    machine.ask("arm")
+    assert machine.ask("move", "5", "--wait")["axis"]["state"] == "holding"
+    assert service.end(signal.SIGTERM)[0] == 0
+    assert drive.end(signal.SIGTERM)[0] == 0
 
 
 def test_a_killed_service_leaves_an_axis_that_stops_and_a_restart_that_does_not_move_it(machine: Machine) -> None:

@@ -147,10 +147,30 @@ def test_a_package_that_is_broken_is_told_as_a_wrong_key(
 
 
 @pytest.mark.usefixtures("node")
-def test_the_fault_campaign_refuses_what_no_dbc_describes(capsys: pytest.CaptureFixture[str], file: Path) -> None:
-    code, _, err = run(capsys, "faults", "--config", str(file))
-    assert code == 2
-    assert 'drives of type "dbc" alone' in err
+def test_design_and_doctor_need_to_know_nothing_of_it(capsys: pytest.CaptureFixture[str], file: Path) -> None:
+    code, out, err = run(capsys, "design", "--config", str(file))
+    assert code == 0, err
+    assert "change" in out
+    code, out, _ = run(capsys, "doctor", "--json", "--config", str(file))
+    checks = {check["name"] for check in json.loads(out)["checks"]}
+    assert "bus load" in checks  # which comes of the drive's frames
+
+
+@pytest.mark.usefixtures("node")
+@pytest.mark.parametrize("of_several", [False, True])
+def test_the_fault_campaign_refuses_what_no_dbc_describes(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, *, of_several: bool
+) -> None:
+    file = named = with_protocol(tmp_path, 'type = "node"', "node = 5")
+    if of_several:  # also where only the second axis has such a drive, before anything has run
+        (tmp_path / "other.toml").write_text(DEMO.replace('name = "x"', 'name = "y"'), encoding="utf-8")
+        named = tmp_path / "machine.toml"
+        named.write_text('[machine]\naxes = ["other.toml", "axis.toml"]\n', encoding="utf-8")
+    code, out, err = run(capsys, "faults", "--config", str(named), "--simulated", "--fault", "1")
+    assert (code, out) == (2, "")
+    line = file.read_text(encoding="utf-8").split("\n").index('type = "node"') + 1
+    knows = 'the fault campaign knows the frames of drives of type "dbc" alone'
+    assert f'{file}:{line}: protocol.type = "node": {knows}' in err
 
 
 def test_the_example_declares_the_entry_point_that_these_tests_install() -> None:
