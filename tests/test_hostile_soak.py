@@ -1,6 +1,7 @@
 """The soak under hostile clients: its verdict can fail, its gate does what it says, and its clients are a nuisance."""
 
 import asyncio
+import contextlib
 import json
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -12,6 +13,9 @@ from tests.service.operators import serve
 from tools.soak import hostile
 from tools.soak.hostile_clients import HostileClients
 from tools.soak.hub_gate import HubGate, Mode
+from twostage_servo.api.requests import StopRequest
+from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.errors import Refused
 
 HELD = {"descriptors": 8, "tasks": 4, "threads": 4, "resident_mb": 80.0}
 
@@ -124,10 +128,11 @@ def test_each_character_leaves_a_service_that_serves_and_misses_no_tick(tmp_path
             except (OSError, TimeoutError, ValueError, asyncio.IncompleteReadError):
                 clients.counts["cut off"] += 1
         await world.seconds(2.0)
-        reader, writer = await asyncio.open_unix_connection(str(path))
-        writer.write(b'{"op": "stop"}\n')
-        assert json.loads(await reader.readline())["ok"] in {True, False}
-        writer.close()
+        connection = AsyncConnection(path, 10.0)
+        await connection.open(10.0)
+        with contextlib.suppress(Refused):
+            await connection.ask(StopRequest())
+        connection.close()
         assert world.service.statistics.missed == 0
 
     serve(path, script)

@@ -2,7 +2,6 @@
 
 import asyncio
 import dataclasses
-import json
 import pickle
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from twostage_servo.app.reloading import Reloading, by_a_process
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
+from twostage_servo.client.asynchronous import connect_async
 from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine
 
@@ -38,14 +38,6 @@ def file(tmp_path: Path) -> Path:
 def reloading(world: World, file: Path, carry_out: Callable[[Job], Prepared] = prepare) -> Reloading:
     parts = dataclasses.replace(world.parts, machine=Machine.of(load(file)))
     return Reloading(parts, file, (), carry_out)
-
-
-async def ask(path: Path, *lines: str) -> list[dict[str, Any]]:
-    reader, writer = await asyncio.open_unix_connection(str(path), limit=1 << 20)
-    writer.write("".join(f"{line}\n" for line in lines).encode())
-    answers = [json.loads(await reader.readline()) for _ in lines]
-    writer.close()
-    return answers
 
 
 def test_a_process_of_its_own_does_the_same_as_this_one(file: Path) -> None:
@@ -118,8 +110,8 @@ def test_the_loop_designs_nothing_and_swaps_all_axes_in_one_turn(
         control = world.loop.control_socket(tmp_path / "control.sock")
         await control.start()
         change(file, "cruise_velocity = 100.0", "cruise_velocity = 40.0")
-        (answer,) = await ask(tmp_path / "control.sock", '{"op": "reload"}')
-        assert answer["ok"] is True
+        async with connect_async(tmp_path / "control.sock") as client:
+            await client.reload()
         assert world.axis.settings.cruise_velocity == 40.0
         assert world.state() is State.DISARMED
         assert (designed, len(done)) == (0, 1)

@@ -6,6 +6,7 @@ A test waits by reading: what a process logs, what a watch shows, the end of a p
 at a clock.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -22,7 +23,9 @@ import cantools
 import pytest
 
 from tests.drives_of_others import install
+from twostage_servo.api.requests import ArmRequest, MoveRequest, WatchRequest
 from twostage_servo.canbus.socketcand import SocketcandBus
+from twostage_servo.client.connection import Connection
 
 pytestmark = pytest.mark.processes
 
@@ -139,12 +142,9 @@ class Machine:
         )
 
     def watch_until(self, condition: Any) -> dict[str, Any]:
-        with socket.socket(socket.AF_UNIX) as client:
-            client.settimeout(LONGEST_S)
-            client.connect(str(self.socket))
-            client.sendall(b'{"op": "watch", "every": 2}\n')
-            for line in client.makefile():
-                status: dict[str, Any] = json.loads(line)
+        with contextlib.closing(Connection(self.socket, LONGEST_S)) as client:
+            for snapshot in client.snapshots(WatchRequest(every=2)):
+                status = snapshot.to_json()
                 if condition(status):
                     return status
         raise AssertionError("the service went away")
@@ -158,25 +158,6 @@ class Machine:
             return slow == 20
 
         self.watch_until(seen)
-
-
-class Operator:
-    """A client that stays connected."""
-
-    def __init__(self, path: Path) -> None:
-        self.socket = socket.socket(socket.AF_UNIX)
-        self.socket.settimeout(LONGEST_S)
-        self.socket.connect(str(path))
-        self.lines = self.socket.makefile()
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        self.socket.sendall(json.dumps(request).encode() + b"\n")
-        answer: dict[str, Any] = json.loads(self.lines.readline())
-        return answer
-
-    def close(self) -> None:
-        self.lines.close()
-        self.socket.close()
 
 
 def dbc() -> cantools.database.can.Database:
@@ -414,10 +395,10 @@ def test_watch_ends_after_its_count(machine: Machine) -> None:
 def test_one_operator_commands_and_the_others_watch_or_stop(machine: Machine) -> None:
     machine.drive()
     machine.service()
-    holder = Operator(machine.socket)
-    assert holder.ask(op="arm")["ok"]
+    holder = Connection(machine.socket, LONGEST_S)
+    holder.ask(ArmRequest())
     machine.watch_until(lambda status: status["axis"]["state"] == "holding")
-    assert holder.ask(op="move", position=2000.0, velocity=60.0)["ok"]
+    holder.ask(MoveRequest(position=2000.0, velocity=60.0))
     machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 50.0)
     refused = machine.ask("move", "0", exit_code=3)["error"]
     assert refused["code"] == "authority_held"
@@ -430,7 +411,7 @@ def test_one_operator_commands_and_the_others_watch_or_stop(machine: Machine) ->
     assert machine.ask("release", "--force")["authority"] == {"holder": None}
     assert machine.ask("release")["authority"] == {"holder": None}
     assert machine.ask("move", "--by", "-10", "--wait")["move"]["outcome"] == "reached"
-    assert holder.ask(op="move", position=0.0)["ok"]  # each verb has released authority as it left
+    holder.ask(MoveRequest(position=0.0))  # each verb has released authority as it left
     holder.close()
 
 

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from tools.rig.bench import Bench, run
+from twostage_servo.api.requests import ArmRequest, MoveRequest
+from twostage_servo.client.errors import Refused
 
 Figures = dict[str, Any]
 
@@ -47,8 +49,11 @@ def _is_heard(shown: Figures) -> bool:
 def recover(bench: Bench, axis: str) -> Figures:
     """Reset a tripped axis, and see that it is disarmed then and stays where it is."""
     bench.until(axis, "the bus is open and the drive heard", _is_heard)
-    refused = bench.ask(axis, op="arm")
-    check(not refused["ok"], "a tripped axis cannot be armed", answer=refused.get("axis"))
+    try:
+        answer = bench.request(ArmRequest(axis=axis))
+    except Refused:
+        answer = None
+    check(answer is None, "a tripped axis cannot be armed", answer=answer and answer["axis"])
     bench.operate("reset", "--axis", axis)
     bench.until(axis, "disarmed after reset", disarmed)
     before = bench.ask(axis)["axis"]["position"]
@@ -60,9 +65,9 @@ def recover(bench: Bench, axis: str) -> Figures:
 
 def move(bench: Bench, axis: str, position: float) -> None:
     """Arm an axis and let it set out."""
-    check(bench.ask(axis, op="arm")["ok"], "arms")
+    bench.request(ArmRequest(axis=axis))
     bench.until(axis, "holding", lambda one: one["axis"]["state"] == "holding")
-    check(bench.ask(axis, op="move", position=position)["ok"], "sets out")
+    bench.request(MoveRequest(axis=axis, position=position))
     bench.until(axis, "moving", lambda one: abs(one["axis"]["velocity"] or 0.0) > 50.0)
 
 

@@ -1,6 +1,7 @@
 """Clients of the control socket that make work for the service: ``python -m bench.client_load KIND --socket PATH``.
 
-One process for all of them. It prints a line when they are connected, and goes on until it is ended.
+One process for all of them. It prints a line when they are connected, and goes on until it is ended. The fifty
+operators are clients as the package has them; the others do what no client of ours does, and have the socket itself.
 """
 
 import argparse
@@ -11,10 +12,14 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any, Final
 
+from twostage_servo.api.requests import MoveRequest, RecordingRequest, Request, StatusRequest, WatchRequest
+from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.errors import Refused
+
 _CLIENTS: Final = 50
 _INTERVAL_S: Final = 0.1
 """Each of the fifty asks ten times a second."""
-_LONGEST_ANSWER: Final = 1 << 20
+_LONGEST_ANSWER_S: Final = 30.0
 _BEYOND: Final = 1e8
 """A set-point beyond any limit: it is refused, and the measured axis stays on its way."""
 
@@ -52,29 +57,38 @@ async def connecting_client(path: Path) -> None:
 
 async def fifty_clients(path: Path) -> None:
     """Fifty operators at once: some watch, some ask for the status, some ask for what is refused."""
-    kinds: tuple[dict[str, Any], ...] = ({"op": "status"}, {"op": "move", "position": _BEYOND}, {"op": "recording"})
-    async with contextlib.AsyncExitStack() as stack, asyncio.TaskGroup() as group:
-        streams = [await stack.enter_async_context(_connected(path)) for _ in range(_CLIENTS)]
-        for number, (reader, writer) in enumerate(streams):
-            group.create_task(_read_all(reader))
+    kinds = (StatusRequest(), MoveRequest(position=_BEYOND))
+    connections = [AsyncConnection(path, _LONGEST_ANSWER_S) for _ in range(_CLIENTS)]
+    for connection in connections:
+        await connection.open(_LONGEST_ANSWER_S)
+    async with asyncio.TaskGroup() as group:
+        for number, connection in enumerate(connections):
             if number % 5 == 0:
-                _ask(writer, op="watch", every=10)
+                group.create_task(_keep_watching(connection))
             else:
-                request = kinds[2] if number == 1 else kinds[number % 2]
-                group.create_task(_keep_asking(writer, request, _INTERVAL_S * number / _CLIENTS))
+                request = RecordingRequest() if number == 1 else kinds[number % 2]
+                group.create_task(_keep_asking(connection, request, _INTERVAL_S * number / _CLIENTS))
         print("ready", flush=True)
 
 
-async def _keep_asking(writer: asyncio.StreamWriter, request: dict[str, Any], begin_s: float) -> None:
-    await asyncio.sleep(begin_s)
+async def _keep_watching(connection: AsyncConnection) -> None:
+    async for _ in connection.snapshots(WatchRequest(every=10)):
+        pass
+
+
+async def _keep_asking(connection: AsyncConnection, request: Request, begin_s: float) -> None:
+    loop = asyncio.get_running_loop()
+    due_s = loop.time() + begin_s
     while True:
-        _ask(writer, **request)
-        await asyncio.sleep(_INTERVAL_S)
+        await asyncio.sleep(due_s - loop.time())
+        with contextlib.suppress(Refused):
+            await connection.ask(request)
+        due_s = max(due_s, loop.time() - _INTERVAL_S) + _INTERVAL_S
 
 
 @contextlib.asynccontextmanager
 async def _connected(path: Path) -> AsyncIterator[_Streams]:
-    reader, writer = await asyncio.open_unix_connection(path, limit=_LONGEST_ANSWER)
+    reader, writer = await asyncio.open_unix_connection(path)
     try:
         yield reader, writer
     finally:

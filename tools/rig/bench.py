@@ -15,6 +15,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from twostage_servo.api.requests import ReleaseRequest, Request, StatusRequest
+from twostage_servo.client.connection import Connection
+from twostage_servo.client.errors import ServoError
+
 ROOT: Final = Path(__file__).resolve().parents[2]
 OPT: Final = Path("/opt/twostage-servo")
 PROGRAM: Final = OPT / "bin/twostage-servo"
@@ -36,6 +40,7 @@ _PATIENT: Final = {
 }  # fmt: skip
 _UNDETECTED_TRAVEL: Final = 60.0
 """Of an encoder that is told late because of those limits, mm."""
+_LONGEST_ANSWER_S: Final = 30.0
 _ARMING_TIMEOUT_MS: Final = 5000.0
 """Arming waits for two fresh samples in a row."""
 PATIENT_UNIT: Final = "[Service]\nTimeoutStartSec=300\nWatchdogSec=8\n"
@@ -203,26 +208,30 @@ class Bench:
         """Give a command as a user of no group that matters."""
         return attempt(*_as_user(_STRANGER, str(_NOBODYS_GROUP)), str(PROGRAM), *arguments)
 
-    def ask(self, axis: str, **request: Any) -> dict[str, Any]:
-        """Send a request over the control socket, and return the answer."""
-        with socket.socket(socket.AF_UNIX) as client:
-            client.settimeout(30.0)
-            client.connect(str(SOCKET))
-            lines = client.makefile("rwb")
-            answers = []
-            for one in ({"op": "status", "axis": axis} | request, {"op": "release"}):
-                lines.write(json.dumps(one).encode() + b"\n")
-                lines.flush()
-                answers.append(json.loads(lines.readline()))
-        answer: dict[str, Any] = answers[0]
-        return answer
+    def ask(self, axis: str) -> dict[str, Any]:
+        """Return the status of an axis, as its JSON."""
+        return self.request(StatusRequest(axis=axis))
+
+    def request(self, request: Request) -> dict[str, Any]:
+        """Send a request over the control socket, and return the answer.
+
+        Raises
+        ------
+        ServoError
+            If it is refused, or no service answers.
+        """
+        with contextlib.closing(Connection(SOCKET, _LONGEST_ANSWER_S)) as connection:
+            try:
+                return connection.ask(request)
+            finally:
+                connection.ask(ReleaseRequest())
 
     def until(self, axis: str, what: str, holds: Callable[[dict[str, Any]], bool], longest_s: float = 60.0) -> float:
         """Wait until something holds of an axis' snapshot; return how long that took, s."""
         begun = time.monotonic()
         while True:
             shown: dict[str, Any] = {}
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(ServoError):
                 shown = self.ask(axis)
                 if holds(shown):
                     return time.monotonic() - begun

@@ -7,6 +7,10 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from random import Random
 
+from twostage_servo.api.requests import Request
+from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.errors import Refused, ServoError
+
 ANSWERED_WITHIN_S = 1.0
 """Simulated time, which the work itself does not take, until a fresh client's `stop` has been answered."""
 
@@ -15,7 +19,7 @@ LONG_LINE = b'{"op": "move", "positions": {' + b", ".join(b'"axis%d": "far"' % n
 
 
 class BadClients:
-    """Connects to a socket in ways that nobody should.
+    """Connects to a socket in ways that nobody should; so it has the socket itself, and not a client of ours.
 
     Parameters
     ----------
@@ -52,18 +56,20 @@ class BadClients:
             writer.write(json.dumps(request).encode() + b"\n")
             writer.transport.abort() if self._random.random() < 0.5 else writer.close()
 
-    async def is_answered(self, request: dict[str, object]) -> bool:
-        """Ask as a fresh client; return whether an answer comes in time."""
+    async def is_answered(self, request: Request) -> bool:
+        """Ask as a fresh client, a good one; return whether an answer comes in time."""
+        connection = AsyncConnection(self.path, ANSWERED_WITHIN_S)
         try:
             async with asyncio.timeout(ANSWERED_WITHIN_S):
-                reader, writer = await asyncio.open_unix_connection(str(self.path))
-                try:
-                    writer.write(json.dumps(request).encode() + b"\n")
-                    return (await reader.readline()).endswith(b"\n")
-                finally:
-                    writer.close()
-        except (OSError, TimeoutError):
+                await connection.open(ANSWERED_WITHIN_S)
+                await connection.ask(request)
+        except Refused:
+            return True
+        except (ServoError, TimeoutError):
             return False
+        finally:
+            connection.close()
+        return True
 
     async def end(self) -> None:
         """Let all of them go."""

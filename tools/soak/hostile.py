@@ -25,6 +25,10 @@ from random import Random
 from typing import Any, Final
 
 from tools.soak.hub_gate import HubGate, Mode
+from twostage_servo.api.requests import ReloadRequest, Request, StopRequest
+from twostage_servo.axis.refusals import RefusalCode
+from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.errors import Refused, ServoError
 from twostage_servo.config.loader import load
 from twostage_servo.faults.bench import bench_overrides
 
@@ -107,7 +111,7 @@ class Hostility:
         measured = ["-m", "tools.soak.measured_service"]
         self._service = self._child("service", measured, "run", config, self._gate.port, own)
         await self._until(self._socket.exists, "the control socket")
-        await self._ask({"op": "reload"})  # whose thread stays
+        await self._ask(ReloadRequest())  # whose thread stays
 
     def _child(
         self, name: str, program: list[str], verb: str, config: Any, port: int, own: list[str]
@@ -215,25 +219,25 @@ class Hostility:
         while True:
             asked_s = time.monotonic()
             try:
-                answer = await asyncio.wait_for(self._ask({"op": "stop"}), _LONGEST_ANSWER_S)
-            except (OSError, ValueError, TimeoutError) as error:
+                await asyncio.wait_for(self._ask(StopRequest()), _LONGEST_ANSWER_S)
+            except Refused as refused:
+                if refused.code not in {RefusalCode.DISARMED, RefusalCode.TRIPPED}:
+                    raise BrokenError(f"`stop` was refused: {refused}") from refused
+            except (ServoError, TimeoutError) as error:
                 if time.monotonic() - begun_s > _LONGEST_ANSWER_S:
                     raise BrokenError(f"`stop` gets no answer for {_LONGEST_ANSWER_S:g} s: {error!r}") from error
                 await asyncio.sleep(0.01)
-            else:
-                self.stops_ms.append(1e3 * (time.monotonic() - asked_s))
-                break
-        if not answer["ok"] and answer["error"]["code"] not in {"disarmed", "tripped"}:
-            raise BrokenError(f"`stop` was refused: {answer['error']}")
+                continue
+            self.stops_ms.append(1e3 * (time.monotonic() - asked_s))
+            return
 
-    async def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
-        reader, writer = await asyncio.open_unix_connection(str(self._socket), limit=1 << 20)
+    async def _ask(self, request: Request) -> None:
+        connection = AsyncConnection(self._socket, _LONGEST_ANSWER_S)
         try:
-            writer.write(json.dumps(request).encode() + b"\n")
-            answer: dict[str, Any] = json.loads(await reader.readline())
+            await connection.open(_LONGEST_ANSWER_S)
+            await connection.ask(request)
         finally:
-            writer.close()
-        return answer
+            connection.close()
 
     # What it holds ---------------------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ import can
 from tools.soak.bad_clients import ANSWERED_WITHIN_S, BadClients
 from tools.soak.drive_watch import DriveWatch
 from tools.soak.encoder_watch import ENCODER_FACTORS, EncoderWatch
+from twostage_servo.api.requests import StatusRequest, StopRequest
 from twostage_servo.axis.state import COMMANDED, DRIVEN, ENABLED, State
 from twostage_servo.faults import bus_faults, host_faults
 from twostage_servo.faults.world import SERVICE, World
@@ -206,7 +207,7 @@ class ServiceMishaps:
 
     async def _stop_by_a_fresh_client(self) -> None:
         """Let a fresh client stop the axis, whoever else is at the socket: it has to be answered."""
-        if not await self._clients.is_answered({"op": "stop"}) and not self._serving_has_ended():
+        if not await self._clients.is_answered(StopRequest()) and not self._serving_has_ended():
             self.broken = f"a fresh client's stop was not answered within {ANSWERED_WITHIN_S:g} s"
 
     async def _no_descriptor_left(self) -> None:
@@ -224,7 +225,7 @@ class ServiceMishaps:
         self._clients.path.unlink(missing_ok=True)
         for _ in range(10):
             await asyncio.sleep(1.0)
-            if await self._clients.is_answered({"op": "status"}) or self._serving_has_ended():
+            if await self._clients.is_answered(StatusRequest()) or self._serving_has_ended():
                 return
         self.broken = "the control socket was deleted, and has not been made again for 10 s"
 

@@ -2,13 +2,14 @@
 
 import asyncio
 import contextlib
-import json
 import socket
 from random import Random
 from typing import Any, Final
 
 from twostage_servo.api.request_reading import LONGEST_LINE
+from twostage_servo.api.requests import ArmRequest, StatusRequest
 from twostage_servo.axis.state import State
+from twostage_servo.client.errors import Refused, ServoError
 from twostage_servo.faults.host_faults import suspend
 from twostage_servo.faults.world import OPERATOR, World
 from twostage_servo.service.background_server import Priority
@@ -33,7 +34,7 @@ def leave_too_soon(world: World, _: Random) -> None:
 
 async def _leave_too_soon(world: World) -> None:
     async with world.loop.parts.background.slot(Priority.REQUEST):
-        async with world.client() as (_, writer):
+        async with world.bad_client() as (_, writer):
             writer.write(b'{"op": "move", "by": 1.0}\n{"op": "home", "position": 0.0}\n{"op": "arm"}\n')
         await writer.wait_closed()
         await asyncio.sleep(3.0 * world.period_s)
@@ -62,10 +63,13 @@ async def _hold_requests_up(world: World) -> None:
 
 async def _ask_and_wait(world: World) -> None:
     await asyncio.sleep(2.0 * world.period_s)  # by then it stands still
-    async with world.client() as (reader, writer):
-        writer.write(b'{"op": "arm"}\n')
-        answer = json.loads(await reader.readline())
-        world.refusals.append(None if answer["ok"] else answer["error"]["code"])
+    async with world.client() as client:
+        try:
+            await client.ask(ArmRequest())
+        except Refused as refused:
+            world.refusals.append(refused.code)
+        else:
+            world.refusals.append(None)
 
 
 def half_closed(world: World, _: Random) -> None:
@@ -74,7 +78,7 @@ def half_closed(world: World, _: Random) -> None:
 
 
 async def _half_closed(world: World) -> None:
-    async with world.client() as (_, writer):
+    async with world.bad_client() as (_, writer):
         path = writer.get_extra_info("peername")
         with contextlib.ExitStack() as stack:
             for _ in range(_HALF_CLOSED):
@@ -99,7 +103,7 @@ async def _heavy_lines(world: World, begin_s: float, end_s: float) -> None:
     body = b"".join(b',"%x":""' % number for number in range(LONGEST_LINE))[: LONGEST_LINE - len(head) - len(foot)]
     line = head + body[: body.rindex(b",")] + foot
     await asyncio.sleep(begin_s)
-    async with world.client() as (reader, writer):
+    async with world.bad_client() as (reader, writer):
         while world.now_s < end_s:
             writer.write(line)
             if not await reader.readline():
@@ -119,10 +123,12 @@ async def has_expired(world: World) -> str | None:
 
 async def serves_others(world: World) -> str | None:
     """Check that a new client is answered, and that the others were kept within their number."""
-    async with world.client() as (reader, writer):
-        writer.write(b'{"op": "status"}\n')
-        line = await reader.readline()
-    return None if line and json.loads(line)["ok"] else f"a new client is answered {line!r}"
+    try:
+        async with world.client() as client:
+            await client.ask(StatusRequest())
+    except ServoError as error:
+        return f"a new client is not served: {error}"
+    return None
 
 
 def _judge(world: World, wanted: str) -> str | None:

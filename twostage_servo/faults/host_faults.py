@@ -133,10 +133,10 @@ def flood(world: World, _: Random) -> None:
 
 async def _flood(world: World, end_s: float) -> None:
     async with contextlib.AsyncExitStack() as stack:
-        watchers = [await stack.enter_async_context(world.client()) for _ in range(2)]
+        watchers = [await stack.enter_async_context(world.bad_client()) for _ in range(2)]
         for _, writer in watchers:
             writer.write(b'{"op": "watch", "every": 1}\n')
-        reader, writer = await stack.enter_async_context(world.client())
+        reader, writer = await stack.enter_async_context(world.bad_client())
         while world.now_s < end_s:
             writer.write(b'{"op": "status"}\n' * 200)
             for _ in range(200):

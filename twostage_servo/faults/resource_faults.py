@@ -11,8 +11,10 @@ from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any
 
+from twostage_servo.api.requests import StatusRequest
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripFile
+from twostage_servo.client.errors import ServoError
 from twostage_servo.faults.bus_faults import foreign_command
 from twostage_servo.faults.world import World
 from twostage_servo.service.ending_signals import EndingSignals
@@ -207,13 +209,16 @@ def delete_socket(world: World, _: Random) -> None:
 
 
 async def _delete_socket(world: World) -> None:
-    async with world.client() as (reader, writer):
+    async with world.client() as client:
         world.socket_path.unlink()
         for _ in range(5):
             await asyncio.sleep(1.0)
-            writer.write(b'{"op": "status"}\n')
-            answer = await reader.readline()
-            world.refusals.append(None if b'"ok":true' in answer else "unserved")
+            try:
+                await client.ask(StatusRequest())
+            except ServoError:
+                world.refusals.append("unserved")
+            else:
+                world.refusals.append(None)
 
 
 async def is_served_again(world: World) -> str | None:
@@ -229,9 +234,8 @@ async def _is_served(world: World) -> str | None:
     if world.serving.done():
         return "the service has ended"
     try:
-        async with world.client() as (reader, writer):
-            writer.write(b'{"op": "status"}\n')
-            answer = await reader.readline()
-    except OSError as error:
-        return f"a new client cannot connect: {error}"
-    return None if b'"ok":true' in answer else f"a new client is answered {answer[:100]!r}"
+        async with world.client() as client:
+            await client.ask(StatusRequest())
+    except ServoError as error:
+        return f"a new client is not served: {error}"
+    return None

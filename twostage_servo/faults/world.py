@@ -16,6 +16,7 @@ from twostage_servo.app.closed_loop import SERVICE, ClosedLoop, HeldTicks, Wires
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.canbus.link import BusSettings
+from twostage_servo.client.asynchronous import AsyncConnection
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.faults.companion import Companion
@@ -32,6 +33,9 @@ DRIVE = "drive"
 
 OPERATOR = "operator"
 """The client who commands the axis."""
+
+_LONGEST_ANSWER_S = 30.0
+"""How long an answer may take, in simulated time: longer than anything that holds the service up."""
 
 _TO_REST_S = 3.0
 """How long the other axes may take to come to rest."""
@@ -158,16 +162,37 @@ class World:
         task.add_done_callback(self._tasks.discard)
 
     @asynccontextmanager
-    async def client(self) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-        """Connect to the service's control socket, which is served from the first client on."""
-        if self._socket is None:
-            self._socket = self.loop.control_socket(self.socket_path)
-            await self._socket.start()
-        reader, writer = await asyncio.open_unix_connection(str(self._socket.path), limit=1 << 20)
+    async def client(self) -> AsyncIterator[AsyncConnection]:
+        """Connect to the service's control socket as a client that keeps to the protocol.
+
+        Raises
+        ------
+        ServoError
+            If no service answers there.
+        """
+        await self._serve_clients()
+        connection = AsyncConnection(self.socket_path, _LONGEST_ANSWER_S)
+        await connection.open(_LONGEST_ANSWER_S)
+        try:
+            yield connection
+        finally:
+            connection.close()
+
+    @asynccontextmanager
+    async def bad_client(self) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
+        """Connect as one who sends what no client of ours does, or does not read; so it has the socket itself."""
+        await self._serve_clients()
+        reader, writer = await asyncio.open_unix_connection(str(self.socket_path), limit=1 << 20)
         try:
             yield reader, writer
         finally:
             writer.close()
+
+    async def _serve_clients(self) -> None:
+        """Serve the control socket, from the first client on."""
+        if self._socket is None:
+            self._socket = self.loop.control_socket(self.socket_path)
+            await self._socket.start()
 
     @property
     def folder(self) -> Path:
