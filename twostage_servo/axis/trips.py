@@ -112,21 +112,21 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.POSITION_JUMP: TripRule(
         _QUICK,
-        "Check encoder and coupling; then `reset`, `arm`, and `home`: the position can't be trusted any more.",
+        "Check encoder and coupling; then `reset`, `arm` and `home`: the position is no longer known.",
         blind=True,
         position_in_doubt="the encoder may have lost counts, or gained some",
     ),
     TripCode.MODEL_MISMATCH: TripRule(
         _QUICK,
         "Check the encoder's scale, the drive's gain and the plant model ([axis.plant], `design`); then `reset`, `arm` "
-        "and `home`: what the encoder counted at a wrong scale is off.",
+        "and `home`: a position counted at a wrong scale is wrong.",
         reckoned=True,
         position_in_doubt="the encoder may count at another scale",
     ),
     TripCode.SIGN_REVERSED: TripRule(
         _QUICK,
-        "Turn the encoder or the effort round (protocol.feedback.position_scale, axis.plant.gain, the wiring); then "
-        "`reset`, `arm`, and `home`: what the encoder counted the wrong way is off.",
+        "Reverse the sign of the encoder or of the effort (protocol.feedback.position_scale, axis.plant.gain, the "
+        "wiring); then `reset`, `arm` and `home`: a position counted the wrong way is wrong.",
         reckoned=True,
         position_in_doubt="the encoder may count the wrong way",
     ),
@@ -151,11 +151,11 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.POSITION_LIMIT: TripRule(
         _QUICK,
-        "See why the axis came so near to its limit at that speed, then `reset`, `arm` and move it back.",
+        "Find out why the axis approached its limit at that speed, then `reset`, `arm` and move it back.",
     ),
     TripCode.LIMIT_SWITCH: TripRule(
         _QUICK,
-        "`reset`, `arm` and move off the switch: only motion away from it is taken.",
+        "`reset`, `arm` and move off the switch: only motion away from it is accepted.",
     ),
     TripCode.OVERSPEED: TripRule(
         _DISABLE,
@@ -200,37 +200,37 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.DRIVE_STATE_MISMATCH: TripRule(
         _DISABLE,
-        "Take the drive for enabled until you know. Compare the signals that [protocol] names with its manual; where "
-        "its heartbeat's state means something else, set protocol.heartbeat.state to false. Then `reset` and `arm`.",
+        "Treat the drive as enabled until you know. Compare the signals that [protocol] names with its manual; if its "
+        "heartbeat's state has another meaning, set protocol.heartbeat.state to false. Then `reset` and `arm`.",
         while_disabled=True,
     ),
     TripCode.DRIVE_REBOOTED: TripRule(
         _DISABLE,
-        "Check the drive's supply; then `reset`, `arm`, and `home`: the drive has forgotten where it was.",
-        position_in_doubt="the encoder starts to count anew",
+        "Check the drive's supply; then `reset`, `arm`, and `home`: the drive has lost its position.",
+        position_in_doubt="the encoder restarts its count",
     ),
     TripCode.SAFE_TORQUE_OFF: TripRule(
         _DISABLE,
-        "Find who asked for it (emergency stop, door, light curtain), release it, then `reset` and `arm`.",
+        "Find what activated it (emergency stop, door, light curtain), release it, then `reset` and `arm`.",
     ),
     TripCode.HEARTBEAT_LOST: TripRule(
         _DISABLE,
-        "The drive's firmware may hang: look at its state, switch it off and on, then `reset` and `arm`, and `home` "
+        "The drive's firmware may hang: check its state, switch it off and on, then `reset` and `arm`, and `home` "
         "where `status` says that the position is no longer known.",
     ),
     TripCode.COMMANDS_DROPPED: TripRule(
         _QUICK,
-        "The bus does not take our frames: look for a babbling node or a lost termination, then `reset` and `arm`.",
+        "The bus does not accept our frames: look for a babbling node or a lost termination, then `reset` and `arm`.",
     ),
     TripCode.FOREIGN_COMMAND: TripRule(
         _DISABLE,
-        "Keep away from the axis: somebody else can move it. End the other service or tool that commands this drive; "
-        "after a trip, then `reset` and `arm`.",
+        "Keep away from the axis: another controller can move it. End the other service or tool that commands this "
+        "drive; after a trip, then `reset` and `arm`.",
         while_disabled=True,
     ),
     TripCode.BUS_FAILED: TripRule(
         _DISABLE,
-        "Bring the bus back (interface, cable, whatever serves it); when `status` shows it open, `reset` and `arm`, "
+        "Restore the bus (interface, cable, its server); when `status` shows it open, `reset` and `arm`, "
         "and `home` where it says that the position is no longer known.",
     ),
     TripCode.INTERNAL_ERROR: TripRule(
