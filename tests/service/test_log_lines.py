@@ -88,7 +88,7 @@ def test_what_changes_on_an_axis_is_told_with_its_tick() -> None:
         {"event": "state", "log_level": "info", "before": "holding", "now": "tripped"},
         {
             "event": "the position is no longer known: home the axis", "log_level": "warning",
-            "reason": "drive_rebooted: the encoder starts to count anew",
+            "reason": "drive_rebooted: the encoder restarts its count",
         },
         {"event": "feedback stale", "log_level": "warning"},
     ]  # fmt: skip
