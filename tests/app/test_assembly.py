@@ -111,14 +111,14 @@ def test_a_drive_with_a_rhythm_of_its_own_is_dated_by_its_frames(
 
     async def script(world: World) -> None:
         await world.until(lambda: world.axis.ready_to_arm)
-        take = world.axis.take_feedback
+        take = world.axis.accept_feedback
 
         def noted(feedback: Feedback, reception: Reception) -> None:
             ages.append(reception.age_s)
             take(feedback, reception)
 
         monkeypatch.setattr(world.axis_loop.bus.link, "age_s", lambda _: 0.004)
-        monkeypatch.setattr(world.axis, "take_feedback", noted)
+        monkeypatch.setattr(world.axis, "accept_feedback", noted)
         await world.seconds(0.1)
 
     simulate(script, f"protocol.feedback.sampling='{sampling}'")

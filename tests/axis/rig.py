@@ -104,7 +104,7 @@ class AxisRig:
             told = {name: value for name, value in self.inputs.items() if name in Feedback._fields}
             received = {name: value for name, value in self.inputs.items() if name not in told}
             feedback = Feedback(self.sample, self.counter, self.enabled, fault_code=self.fault_code, **told)
-            self.axis.take_feedback(feedback, IN_TIME._replace(**received))
+            self.axis.accept_feedback(feedback, IN_TIME._replace(**received))
         command = self.axis.step()
         self.enabled = command.enable is True and self.enables
         self.sample = self.sees(self.position)

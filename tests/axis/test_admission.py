@@ -23,7 +23,7 @@ def admission_at(position: float | None, **inputs: bool) -> Admission:
     drive = DriveReport(SETTINGS, PERIOD_S, DriveTraits(counter_modulus=16))
     if position is not None:
         drive.begin_tick(0)
-        drive.take(Feedback(position, 1, enabled=False, **inputs))
+        drive.accept_feedback(Feedback(position, 1, enabled=False, **inputs))
     return Admission(DESIGN, drive)
 
 
@@ -107,14 +107,14 @@ def test_a_place_is_not_set_on_an_axis_that_is_not_seen() -> None:
     assert code(lambda: admission_at(None).check_place(0.0, 0.0, 2.5)) == "no_feedback"
     drive = DriveReport(SETTINGS, PERIOD_S, DriveTraits(counter_modulus=16))
     drive.begin_tick(0)
-    drive.take(Feedback(0.0, 1, enabled=False))
+    drive.accept_feedback(Feedback(0.0, 1, enabled=False))
     for _ in range(2):
         drive.begin_tick(0)
         assert code(lambda: Admission(DESIGN, drive).check_place(0.0, 0.0, 2.5)) is None
     drive.begin_tick(0)  # the limit is 30 ms
     assert code(lambda: Admission(DESIGN, drive).check_place(0.0, 0.0, 2.5)) == "no_feedback"
     drive.begin_tick(0)
-    drive.take(Feedback(0.0, 2, enabled=False))
+    drive.accept_feedback(Feedback(0.0, 2, enabled=False))
     drive.position = None
     assert code(lambda: Admission(DESIGN, drive).check_place(0.0, 0.0, 2.5)) == "no_feedback"
 

@@ -137,11 +137,11 @@ class AnyOrder(RuleBasedStateMachine):
 
     @rule(boots=st.integers(0, 2))
     def heartbeat(self, boots: int) -> None:
-        self.rig.axis.take_heartbeat(boots)
+        self.rig.axis.record_heartbeat(boots)
 
     @rule()
     def foreign_command(self) -> None:
-        self.rig.axis.take_foreign_command("0x201")
+        self.rig.axis.record_foreign_command("0x201")
 
     @rule(load=st.floats(-30.0, 30.0) | st.just(0.0))
     def load(self, load: float) -> None:

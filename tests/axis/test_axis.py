@@ -489,8 +489,8 @@ def test_arming_a_moving_axis_catches_it(velocity: float) -> None:
 def test_a_fault_is_not_overwritten_by_a_later_frame_of_the_same_tick() -> None:
     rig = AxisRig().cruising()
     rig.axis.begin_tick(rig.tick_index + 1, 0)
-    rig.axis.take_feedback(Feedback(rig.sample, rig.counter + 1, enabled=False, fault_code=7))
-    rig.axis.take_feedback(Feedback(rig.sample, rig.counter + 2, enabled=True))
+    rig.axis.accept_feedback(Feedback(rig.sample, rig.counter + 1, enabled=False, fault_code=7))
+    rig.axis.accept_feedback(Feedback(rig.sample, rig.counter + 2, enabled=True))
     assert rig.axis.step() == NO_EFFORT
     assert trip_of(rig) is TripCode.DRIVE_FAULT
 

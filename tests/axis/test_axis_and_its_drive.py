@@ -31,9 +31,9 @@ class Silent(AxisRig):
         self.tick_index += 1 + missed
         self.axis.begin_tick(self.tick_index, missed)
         self.counter = (self.counter + 1) % 16
-        self.axis.take_feedback(Feedback(self.sample, self.counter))
+        self.axis.accept_feedback(Feedback(self.sample, self.counter))
         if self.tick_index % self.every == 0:
-            self.axis.take_heartbeat(None, self.state_told)
+            self.axis.record_heartbeat(None, self.state_told)
         command = self.axis.step()
         self.commands.append(command)
         check_what_is_told(self.axis, self.tick_index)
@@ -102,7 +102,7 @@ def test_what_arming_has_waited_for_is_told(enables: bool, why: str) -> None:
 def test_a_command_of_somebody_else_lasts_with_its_frame_and_tick_without_a_trip() -> None:
     rig = AxisRig().seconds(0.1)
     assert not rig.axis.lasting
-    rig.axis.take_foreign_command("0x201 enables", enables=True)
+    rig.axis.record_foreign_command("0x201 enables", enables=True)
     rig.tick()
     (told,) = rig.axis.lasting
     assert (told.code, told.tick) == (TripCode.FOREIGN_COMMAND, rig.tick_index)
@@ -114,7 +114,7 @@ def test_a_command_of_somebody_else_lasts_with_its_frame_and_tick_without_a_trip
 
 def test_one_that_trips_is_told_once() -> None:
     rig = AxisRig().seconds(0.1)
-    rig.axis.take_foreign_command("0x201", enables=True)
+    rig.axis.record_foreign_command("0x201", enables=True)
     rig.enabled = True
     rig.tick()
     assert [one.code for one in rig.axis.lasting] == [TripCode.FOREIGN_COMMAND]
@@ -124,7 +124,7 @@ def test_one_that_trips_is_told_once() -> None:
 @pytest.mark.parametrize(("enables", "told"), [(True, True), (None, True), (False, False)])
 def test_a_drive_that_does_not_tell_is_taken_to_obey_what_it_has_been_told(enables: bool | None, *, told: bool) -> None:
     rig = Silent(axis_of(tells_enabled=False)).seconds(0.1)
-    rig.axis.take_foreign_command("0x201", enables=enables)
+    rig.axis.record_foreign_command("0x201", enables=enables)
     rig.tick()
     assert (TripCode.FOREIGN_COMMAND in rig.axis.trips) is told
     assert [one.code for one in rig.axis.lasting] == [TripCode.FOREIGN_COMMAND]
@@ -149,7 +149,7 @@ def test_an_axis_on_a_coarse_encoder_coasts_by_its_speed_and_not_by_the_last_two
     rig = AxisRig(axis_of(resolution=1.0, innovation_gate=1.2))
     rig.sees = lambda position: float(math.floor(position))
     rig.seconds(0.1)
-    rig.axis.take_heartbeat(7)
+    rig.axis.record_heartbeat(7)
     rig.axis.set_position(0.0)
 
     def carried(distance: float) -> None:
@@ -166,7 +166,7 @@ def test_an_axis_on_a_coarse_encoder_coasts_by_its_speed_and_not_by_the_last_two
         carried(4.2 / 20.0)
     rig.silent = False
     rig.seconds(0.1)
-    rig.axis.take_heartbeat(7)
+    rig.axis.record_heartbeat(7)
     assert rig.axis.reference.lost_because == ""
     rig.silent = True
     for _ in range(20):
@@ -179,7 +179,7 @@ def test_an_axis_on_a_coarse_encoder_coasts_by_its_speed_and_not_by_the_last_two
 def test_an_axis_that_speeds_up_as_its_bus_is_lost_may_come_to_the_speed_that_it_was_asked_for() -> None:
     """Its drive has the effort of the cruise as its last one, goes on with it for 450 of 500 ms, and coasts then."""
     rig = AxisRig(axis_of()).seconds(0.1)
-    rig.axis.take_heartbeat(7)
+    rig.axis.record_heartbeat(7)
     rig.axis.set_position(0.0)
     rig.armed().axis.move_to(700.0, 100.0)
     rig.seconds(0.05)
@@ -193,5 +193,5 @@ def test_an_axis_that_speeds_up_as_its_bus_is_lost_may_come_to_the_speed_that_it
     assert rig.position > 30.0
     rig.silent, rig.enabled, rig.sample = False, False, rig.position
     rig.seconds(0.1)
-    rig.axis.take_heartbeat(7)
+    rig.axis.record_heartbeat(7)
     assert rig.axis.reference.lost_because == ""

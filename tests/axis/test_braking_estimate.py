@@ -65,7 +65,7 @@ def test_what_the_corrections_do_in_a_tick_is_in_the_estimate() -> None:
     observer.position, observer.velocity, observer.disturbance = 10.0, 50.0, 1.0
     for _ in range(60):
         observer.update(observer.position - 0.1, 3.0)
-        braking.note(observer, 3.0, corrected=True, sure=True)
+        braking.update(observer, 3.0, corrected=True, sure=True)
     position, velocity, disturbance = observer.position, observer.velocity, observer.disturbance
     observer.update(position - 0.1, 3.0)
     corrected = observer.position - position
@@ -82,7 +82,7 @@ def test_a_model_that_is_right_brakes_on_its_own_estimate() -> None:
     observer.velocity = 50.0
     for _ in range(20):
         observer.predict(2.0)
-        braking.note(observer, 2.0, corrected=True, sure=True)
+        braking.update(observer, 2.0, corrected=True, sure=True)
     before = observer.velocity, observer.disturbance
     braking.apply(observer, in_doubt=False)
     assert (observer.velocity, observer.disturbance) == before
@@ -96,12 +96,12 @@ def test_samples_in_doubt_are_left_out_of_it() -> None:
     observer.velocity = 50.0
     for _ in range(20):
         observer.predict(5.0)
-        braking.note(observer, 5.0, corrected=True, sure=True)
+        braking.update(observer, 5.0, corrected=True, sure=True)
     wanted = EXAMPLE_2.build_law().observer
     wanted.continue_from(observer)
     for _ in range(3):
         observer.update(observer.position - 2.0, 5.0)  # an encoder that stands still, say
-        braking.note(observer, 5.0, corrected=True, sure=False)
+        braking.update(observer, 5.0, corrected=True, sure=False)
         wanted.predict(5.0)
     assert abs(observer.velocity - wanted.velocity) > 10.0
     braking.apply(observer, in_doubt=True)
@@ -122,7 +122,7 @@ def test_what_stands_changes_the_speed_by_no_more_than_the_speed_itself(innovati
         for _ in range(60):
             observer.velocity = velocity
             observer.innovation = math.copysign(innovation, innovation * velocity)
-            braking.note(observer, 0.0, corrected=True, sure=True)
+            braking.update(observer, 0.0, corrected=True, sure=True)
         braking.apply(observer, in_doubt=False)
         assert observer.velocity == pytest.approx(math.copysign(speed, velocity), abs=1e-9)
         assert math.copysign(observer.disturbance - 0.5, innovation * velocity) == observer.disturbance - 0.5
@@ -138,7 +138,7 @@ def test_from_its_start_on_a_model_without_sure_samples_runs_on_by_the_effort() 
     observer = EXAMPLE_2.build_law().observer
     for before, effort in itertools.pairwise((4.0, -2.0, 1.0, 0.0)):
         wanted.predict(before)
-        braking.note(observer, effort, corrected=False, sure=False)
+        braking.update(observer, effort, corrected=False, sure=False)
     braking.apply(observer, in_doubt=True)
     assert (observer.velocity, observer.disturbance) == pytest.approx((wanted.velocity, wanted.disturbance))
 
@@ -150,8 +150,8 @@ def test_an_innovation_stands_when_it_lasts(notes: int, share: float) -> None:
     braking = BrakingEstimate(EXAMPLE_2)
     observer.velocity, observer.innovation = 100.0, 0.1
     for _ in range(notes):
-        braking.note(observer, 0.0, corrected=True, sure=True)
-        braking.note(observer, 0.0, corrected=False, sure=True)
+        braking.update(observer, 0.0, corrected=True, sure=True)
+        braking.update(observer, 0.0, corrected=False, sure=True)
     braking.apply(observer, in_doubt=False)
     gain1, gain2, _ = EXAMPLE_2.kalman.predictor
     gone = share * 0.1 * gain1 / EXAMPLE_2.plant.a12

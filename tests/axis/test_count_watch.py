@@ -34,7 +34,7 @@ class Watched:
         self.driven = self.homed = self.counts_boots = False
 
     def tick(self, position: float | None = None, missed: int = 0) -> str | None:
-        return self.watch.look(
+        return self.watch.update(
             missed, position, self.speed, driven=self.driven, homed=self.homed, counts_boots=self.counts_boots
         )
 
@@ -49,7 +49,7 @@ def told_beyond(watched: Watched, allowed: float, ticks: int, place: float = 0.0
     """Assert that so much is allowed after so many ticks, both ways, and return what is told of more."""
     for way in (-1.0, 1.0):
         other = Watched()
-        other.watch.take_over(watched.watch)
+        other.watch.continue_from(watched.watch)
         other.speed, other.driven = watched.speed, watched.driven
         other.homed, other.counts_boots = watched.homed, watched.counts_boots
         other.silent(ticks - 1)
@@ -224,13 +224,13 @@ def test_where_boots_are_counted_the_next_heartbeat_after_a_sample_is_awaited() 
     assert not watched.awaits_proof()
     assert watched.silent(3) == [None] * 3
     assert watched.awaits_proof()
-    watched.watch.take_proof()  # in the silence it proves nothing
+    watched.watch.confirm_count()  # in the silence it proves nothing
     assert watched.awaits_proof()
     watched.counts_boots = False
     assert watched.tick() is None  # it is awaited all the same
     watched.tick(0.0)
     assert watched.awaits_proof()
-    watched.watch.take_proof()
+    watched.watch.confirm_count()
     assert not watched.awaits_proof()
 
 
@@ -271,7 +271,7 @@ def test_another_watch_goes_on_where_the_former_was() -> None:
     former.tick(100.0)
     former.silent(2)
     watched = Watched()
-    watched.watch.take_over(former.watch)
+    watched.watch.continue_from(former.watch)
     watched.homed = True
     reason = watched.tick(100.0)
     assert reason is not None

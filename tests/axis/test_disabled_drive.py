@@ -34,12 +34,12 @@ runs = st.lists(st.tuples(reports, st.integers(1, 80), st.integers(0, 3)), max_s
 @given(runs)
 def test_the_time_that_it_reports_to_be_enabled_adds_up(told: list[tuple[bool | None, int, int]]) -> None:
     watch = DisabledDriveWatch(DESIGN)
-    watch.look(0, None, None, 0.0)
+    watch.update(0, None, None, 0.0)
     last: bool | None = None
     enabled = disabled = silent = since = 0
     for report, ticks, missed in told:
         for _ in range(ticks):
-            watch.look(missed, report, None, 0.0)
+            watch.update(missed, report, None, 0.0)
             silent = silent + 1 + missed if report is None else 0
             since += 1
             if report is not None:
@@ -58,9 +58,9 @@ def test_the_time_that_it_reports_to_be_enabled_adds_up(told: list[tuple[bool | 
 def test_a_drive_that_obeys_within_its_time_is_never_told(after: int, missed: int) -> None:
     watch = DisabledDriveWatch(DESIGN)
     watch.release(True)
-    watch.look(missed, True, 0.0, 0.0)
+    watch.update(missed, True, 0.0, 0.0)
     for tick in range(300):
-        watch.look(missed, tick < after, 0.0, 0.0)
+        watch.update(missed, tick < after, 0.0, 0.0)
         assert not watch.not_disabled
     assert not watch.waits
 
@@ -69,15 +69,15 @@ def test_a_drive_that_obeys_within_its_time_is_never_told(after: int, missed: in
 def test_a_drive_that_is_told_to_enable_is_not_watched(told: list[tuple[bool | None, int, int]]) -> None:
     watch = DisabledDriveWatch(DESIGN)
     for _ in range(100):
-        watch.look(0, True, 0.0, 0.0)
+        watch.update(0, True, 0.0, 0.0)
     assert watch.not_disabled
     for report, _, _ in told:
         watch.release(report)
         assert not watch.not_disabled
     watch.release(True)
-    watch.look(0, True, 0.0, 0.0)
+    watch.update(0, True, 0.0, 0.0)
     assert (watch.not_disabled, watch.enabled_ms, watch.moved, watch.told_ms) == (False, 0.0, None, 0.0)
-    watch.look(2, True, 0.0, 0.0)
+    watch.update(2, True, 0.0, 0.0)
     assert watch.told_ms == pytest.approx(30.0)
     watch.release(None)
     assert watch.told_ms == 0.0
@@ -107,7 +107,7 @@ def test_coasting_is_no_motion_whatever_the_estimate_was(
 ) -> None:
     watch = DisabledDriveWatch(DESIGN, 0.001)
     for tick, place in enumerate(coasting(speed, error * POLE, 400, noise)):
-        watch.look(0, False, None if tick in lost else place, estimate * speed)
+        watch.update(0, False, None if tick in lost else place, estimate * speed)
         assert watch.moved is None, (tick, place)
 
 
@@ -123,53 +123,53 @@ def test_motion_after_it_has_come_to_rest_is_told_with_its_distance(
     watch = DisabledDriveWatch(DESIGN, 0.001)
     places = coasting(coast, POLE, wait, [0.0])
     for place in places:
-        watch.look(0, False, place, coast)
+        watch.update(0, False, place, coast)
     rest, gone = places[-1], 0.0
     while gone <= 1.5 * GATE + 0.002:  # its place may have been taken anew half a gate before it was at rest
         assert watch.moved is None or gone > 0.5 * GATE
         gone += speed * PERIOD_S
-        watch.look(0, False, rest + sign * gone, 0.0)
+        watch.update(0, False, rest + sign * gone, 0.0)
     gone += speed * PERIOD_S
-    watch.look(0, False, rest + sign * gone, 0.0)  # one sample is a spike
+    watch.update(0, False, rest + sign * gone, 0.0)  # one sample is a spike
     assert watch.moved == pytest.approx(sign * gone, abs=0.5 * GATE)
     watch.motion.shift(1000.0)
-    watch.look(0, False, 1000.0 + rest + sign * gone, 0.0)
+    watch.update(0, False, 1000.0 + rest + sign * gone, 0.0)
     assert watch.moved == pytest.approx(sign * gone, abs=0.5 * GATE)
 
 
 def test_a_drive_that_goes_on_at_its_speed_is_told_once_coasting_does_not_explain_it() -> None:
     watch = DisabledDriveWatch(DESIGN)
     for tick in range(100):
-        watch.look(0, True, 1.0 * tick, 100.0)
+        watch.update(0, True, 1.0 * tick, 100.0)
     assert watch.moved == pytest.approx(99.0)
 
 
 def test_a_spike_is_no_motion() -> None:
     watch = DisabledDriveWatch(DESIGN)
     for tick in range(300):
-        watch.look(0, False, 100.0 if tick == 200 else 0.0, 0.0)
+        watch.update(0, False, 100.0 if tick == 200 else 0.0, 0.0)
     assert watch.moved is None
 
 
 def test_another_watch_on_the_same_drive_goes_on_where_the_former_was() -> None:
     watch = DisabledDriveWatch(DESIGN)
     for tick in range(45):
-        watch.look(0, True, 0.02 * tick, 0.0)
+        watch.update(0, True, 0.02 * tick, 0.0)
     other = DisabledDriveWatch(design_axis(axis_settings(), PERIOD_S))
-    other.take_over(watch)
+    other.continue_from(watch)
     for tick in range(45, 54):
         assert not other.not_disabled
-        other.look(0, True, 0.02 * tick, 0.0)
+        other.update(0, True, 0.02 * tick, 0.0)
     assert other.not_disabled
     assert other.moved == pytest.approx(0.02 * (53 - 3))  # so slow an axis has no way to coast
 
 
 def test_a_drive_that_says_nothing_more_is_waited_for_as_long_as_feedback_may_be_old() -> None:
     watch = DisabledDriveWatch(DESIGN)
-    watch.look(0, True, None, 0.0)
+    watch.update(0, True, None, 0.0)
     waits = []
     for _ in range(SILENCE):
-        watch.look(0, None, None, 0.0)
+        watch.update(0, None, None, 0.0)
         waits.append(watch.waits)
     assert waits == [True] * (SILENCE - 1) + [False]
 
@@ -180,7 +180,7 @@ def test_what_a_drive_said_last_while_enabled_counts_until_it_says_something_els
 ) -> None:
     watch = DisabledDriveWatch(DESIGN)
     watch.release(True)
-    watch.look(0, report, None, 0.0)
+    watch.update(0, report, None, 0.0)
     assert (watch.waits, watch.seen_enabled) == (waits, waits)
 
 
@@ -195,7 +195,7 @@ def test_the_axis_takes_over_what_was_known_of_its_drive() -> None:
         rig.tick()
         rig.enabled = True
     fresh = Axis(DESIGN, TRAITS)
-    fresh.take_over(rig.axis)
+    fresh.continue_from(rig.axis)
     rig.axis = fresh
     for _ in range(20):
         rig.enabled = True
@@ -207,7 +207,7 @@ def test_the_axis_takes_over_what_was_known_of_its_drive() -> None:
 def ask(axis: Axis, what: str) -> None:
     match what:
         case "foreign":
-            axis.take_foreign_command("0x201")
+            axis.record_foreign_command("0x201")
         case "stall":
             axis.raise_trip(TripCode.STALL, "test")
         case "move":
@@ -263,7 +263,7 @@ def test_a_report_that_has_waited_says_nothing_of_now() -> None:
     for late in (True, False):
         rig.axis.begin_tick(rig.tick_index + 1, 0)
         rig.counter += 1
-        rig.axis.take_feedback(Feedback(0.0, rig.counter % 16, enabled=True), Reception(late=late))
+        rig.axis.accept_feedback(Feedback(0.0, rig.counter % 16, enabled=True), Reception(late=late))
         assert drive.enabled_report is (None if late else True)
 
 
@@ -272,14 +272,14 @@ def test_a_bus_that_is_held_up_is_no_drive_that_does_not_obey() -> None:
     patient = design_axis(axis_settings(stale_feedback_ms=3000.0), PERIOD_S)
     watch = DisabledDriveWatch(patient)
     watch.release(True)
-    watch.look(0, True, 0.0, 0.0)
+    watch.update(0, True, 0.0, 0.0)
     for _ in range(250):
-        watch.look(0, None, None, 0.0)
+        watch.update(0, None, None, 0.0)
         assert not watch.not_disabled
     for _ in range(40):
-        watch.look(0, True, 0.0, 0.0)
+        watch.update(0, True, 0.0, 0.0)
         assert not watch.not_disabled
-    watch.look(0, False, 0.0, 0.0)
+    watch.update(0, False, 0.0, 0.0)
     assert not watch.waits
 
 
@@ -288,6 +288,6 @@ def test_a_drive_that_reports_less_often_has_no_more_time(every: int) -> None:
     watch = DisabledDriveWatch(design_axis(axis_settings(stale_feedback_ms=200.0), PERIOD_S))
     ticks = 0
     while not watch.not_disabled:
-        watch.look(0, True if ticks % every == 0 else None, 0.0, 0.0)
+        watch.update(0, True if ticks % every == 0 else None, 0.0, 0.0)
         ticks += 1
     assert PATIENCE < ticks - 1 <= PATIENCE + every

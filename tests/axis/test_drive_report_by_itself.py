@@ -22,7 +22,7 @@ def report(period: float = 0.0, *, heartbeat: bool = False) -> DriveReport:
 
 def seen(drive: DriveReport, position: float, counter: int | None = None, **signals: bool) -> bool:
     drive.begin_tick(0)
-    return drive.take(Feedback(position, counter, **signals))
+    return drive.accept_feedback(Feedback(position, counter, **signals))
 
 
 def codes(drive: DriveReport, *, arming: bool = False) -> set[TripCode]:
@@ -52,7 +52,7 @@ def test_a_heartbeat_is_lost_after_300_ms_from_the_last_or_from_the_start(missed
     drive = report(heartbeat=True)
     lost = TripCode.HEARTBEAT_LOST
     assert first_tick_of(drive, lambda: lost in codes(drive), missed) == tick
-    drive.take_heartbeat(1)
+    drive.record_heartbeat(1)
     assert lost not in codes(drive)
     assert first_tick_of(drive, lambda: lost in codes(drive), missed) == tick
     without = report()
@@ -66,7 +66,7 @@ def test_arming_waits_for_the_first_heartbeat_and_again_after_the_bus_was_lost()
         obstacle = drive.obstacle_to_arming()
         assert obstacle is not None
         assert obstacle[0] == "heartbeat_lost"
-        drive.take_heartbeat(None)
+        drive.record_heartbeat(None)
         assert drive.obstacle_to_arming() is None
         drive.forget()
     without = report()
@@ -78,10 +78,10 @@ def test_arming_waits_for_the_first_heartbeat_and_again_after_the_bus_was_lost()
 def test_a_foreign_command_keeps_from_arming_for_as_long_as_arming_may_take(missed: int) -> None:
     """500 ms are 50 ticks."""
     drive = report()
-    drive.foreign.take("0x201", enables=True)
+    drive.foreign.record("0x201", enables=True)
     for tick in range(1, 50 // (1 + missed) + 1):
         drive.begin_tick(missed)
-        drive.take(Feedback(0.0, None, enabled=False))
+        drive.accept_feedback(Feedback(0.0, None, enabled=False))
         obstacle = drive.obstacle_to_arming()
         if tick * (1 + missed) < 50:
             assert obstacle is not None
@@ -96,7 +96,7 @@ def test_a_drive_that_still_says_it_is_enabled_cannot_be_armed_and_one_that_does
     for enabled, expected in ((True, "still_enabled"), (False, None), (None, None)):
         drive = report()
         drive.begin_tick(0)
-        drive.take(Feedback(0.0, enabled=enabled))
+        drive.accept_feedback(Feedback(0.0, enabled=enabled))
         obstacle = drive.obstacle_to_arming()
         assert (None if obstacle is None else obstacle[0]) == expected
 
@@ -107,7 +107,7 @@ def test_troubles_of_the_drive_are_told_by_code() -> None:
     assert codes(drive) == {TripCode.DRIVE_DROPPED_OUT}
     assert codes(drive, arming=True) == set()
     drive.begin_tick(0)
-    drive.take(Feedback(0.0, enabled=True, fault=True, fault_code=0, safe_torque_off=True))
+    drive.accept_feedback(Feedback(0.0, enabled=True, fault=True, fault_code=0, safe_torque_off=True))
     assert codes(drive) == {TripCode.DRIVE_FAULT, TripCode.SAFE_TORQUE_OFF}
 
 
@@ -124,13 +124,13 @@ def test_errors_of_the_channel_trip_at_their_number() -> None:
 def test_in_a_tick_what_is_bad_stays_and_in_the_next_it_is_new() -> None:
     drive = report()
     drive.begin_tick(0)
-    drive.take(Feedback(0.0, 1, enabled=False, fault_code=7, safe_torque_off=True, home_switch=True))
-    drive.take(Feedback(1.0, 2, enabled=True, safe_torque_off=False, positive_limit=True))
+    drive.accept_feedback(Feedback(0.0, 1, enabled=False, fault_code=7, safe_torque_off=True, home_switch=True))
+    drive.accept_feedback(Feedback(1.0, 2, enabled=True, safe_torque_off=False, positive_limit=True))
     assert (drive.enabled, drive.fault_code, drive.safe_torque_off) == (False, 7, True)
     assert (drive.positive_limit, drive.home_switch) == (True, True)
     drive.begin_tick(0)
     assert [drive.fresh] == [False]
-    drive.take(Feedback(1.0, 3, enabled=True))
+    drive.accept_feedback(Feedback(1.0, 3, enabled=True))
     assert [drive.fresh] == [True]
     assert (drive.enabled, drive.fault_code) == (True, None)
     assert not any((drive.safe_torque_off, drive.positive_limit, drive.home_switch))
@@ -139,21 +139,21 @@ def test_in_a_tick_what_is_bad_stays_and_in_the_next_it_is_new() -> None:
 def test_a_newer_fault_in_a_tick_is_taken_where_there_was_none() -> None:
     drive = report()
     drive.begin_tick(0)
-    drive.take(Feedback(0.0, 1, enabled=True))
-    drive.take(Feedback(0.0, 2, enabled=False, fault_code=3))
+    drive.accept_feedback(Feedback(0.0, 1, enabled=True))
+    drive.accept_feedback(Feedback(0.0, 2, enabled=False, fault_code=3))
     assert (drive.enabled, drive.fault_code) == (False, 3)
 
 
 def test_what_a_drive_sends_unasked_after_its_answer_does_not_replace_the_sample() -> None:
     drive = report()
     drive.begin_tick(0)
-    drive.take(Feedback(1.0, 1), Reception(0.001))
-    drive.take(Feedback(2.0, 2), Reception(0.002, unasked=True))
+    drive.accept_feedback(Feedback(1.0, 1), Reception(0.001))
+    drive.accept_feedback(Feedback(2.0, 2), Reception(0.002, unasked=True))
     assert (drive.position, drive.age_s) == (1.0, 0.001)
-    drive.take(Feedback(3.0, 3), Reception(0.003))
+    drive.accept_feedback(Feedback(3.0, 3), Reception(0.003))
     assert (drive.position, drive.age_s) == (3.0, 0.003)
     drive.begin_tick(0)
-    drive.take(Feedback(4.0, 4), Reception(0.004, unasked=True))
+    drive.accept_feedback(Feedback(4.0, 4), Reception(0.004, unasked=True))
     assert (drive.position, drive.age_s) == (4.0, 0.004)
 
 
@@ -161,7 +161,7 @@ def test_a_drive_that_has_lost_its_encoder_tells_why_and_no_position() -> None:
     drive = report()
     seen(drive, 5.0, 1)
     drive.begin_tick(0)
-    assert drive.take(Feedback(math.nan, 2, fault_code=9))
+    assert drive.accept_feedback(Feedback(math.nan, 2, fault_code=9))
     assert (drive.position, drive.fresh, drive.fault_code, drive.monitor.rejected) == (5.0, False, 9, 1)
 
 
@@ -169,7 +169,7 @@ def test_a_frame_that_is_not_new_tells_nothing() -> None:
     drive = report()
     seen(drive, 5.0, 1)
     drive.begin_tick(0)
-    assert drive.take(Feedback(6.0, 1, fault_code=9))
+    assert drive.accept_feedback(Feedback(6.0, 1, fault_code=9))
     assert (drive.position, drive.fresh, drive.fault_code) == (5.0, False, None)
 
 
@@ -180,9 +180,9 @@ def test_which_round_it_is_stays_sure_until_the_axis_may_have_gone_half_of_one(p
         drive = report(period)
         assert seen(drive, 100.0)
         drive.begin_tick(ticks - 1)
-        assert drive.take(Feedback(100.0)) is sure
+        assert drive.accept_feedback(Feedback(100.0)) is sure
         drive.begin_tick(0)
-        assert drive.take(Feedback(100.0))
+        assert drive.accept_feedback(Feedback(100.0))
 
 
 @pytest.mark.parametrize(("counted", "position"), [(90.0, 90.0), (10.0, 110.0), (40.0, 140.0), (60.0, 60.0)])
@@ -197,13 +197,13 @@ def test_rounds_are_counted_from_where_the_estimate_is() -> None:
     drive = report(100.0)
     seen(drive, 95.0)
     drive.begin_tick(0, expected=720.0)
-    drive.take(Feedback(5.0))
+    drive.accept_feedback(Feedback(5.0))
     assert drive.position == pytest.approx(705.0)
-    drive.take_index(30.0)
+    drive.record_index(30.0)
     assert drive.index == pytest.approx(730.0)
     drive.forget_index()
     assert drive.index is None
-    drive.take_index(math.nan)
+    drive.record_index(math.nan)
     assert drive.index is None
 
 
@@ -238,7 +238,7 @@ def test_a_step_is_at_most_half_a_round() -> None:
 
 def test_boots_are_counted_by_their_counter() -> None:
     drive = report(heartbeat=True)
-    assert [drive.take_heartbeat(counter) for counter in (4, 4, 5, None, 6, 7, 6)] == [
+    assert [drive.record_heartbeat(counter) for counter in (4, 4, 5, None, 6, 7, 6)] == [
         False, False, True, False, False, True, True,
     ]  # fmt: skip
     assert drive.heartbeat.state.boots == 3
@@ -256,17 +256,17 @@ def test_a_switch_forbids_the_way_towards_it(direction: float, names: tuple[str 
 
 def test_a_new_report_of_the_same_drive_knows_what_the_former_one_did() -> None:
     former = report(100.0, heartbeat=True)
-    former.take_heartbeat(3)
-    former.foreign.take("0x201", enables=True)
+    former.record_heartbeat(3)
+    former.foreign.record("0x201", enables=True)
     seen(former, 95.0, 1, home_switch=True)
     seen(former, 5.0, 2, enabled=False)
     former.shift(7.0)
     drive = report(100.0, heartbeat=True)
-    drive.take_over(former)
+    drive.continue_from(former)
     assert drive.monitor is former.monitor
     assert (drive.position, drive.enabled) == (former.position, False)
     assert drive.position == pytest.approx(112.0)
-    assert drive.take_heartbeat(4)
+    assert drive.record_heartbeat(4)
     seen(drive, 10.0, 3, enabled=False)
     assert drive.position == pytest.approx(117.0)
     obstacle = drive.obstacle_to_arming()
@@ -280,7 +280,7 @@ def test_a_report_begins_with_nothing_known() -> None:
     inputs = (drive.safe_torque_off, drive.positive_limit, drive.negative_limit, drive.home_switch)
     assert (*known, *inputs) == (None,) * 9
     assert (drive.fresh, drive.heartbeat.state.boots, drive.is_stale) == (False, 0, True)
-    drive.take(Feedback(0.0, 1, enabled=True, home_switch=False))
+    drive.accept_feedback(Feedback(0.0, 1, enabled=True, home_switch=False))
     assert (drive.enabled, drive.fresh) == (True, True)
     drive.forget()
     assert drive.home_switch is drive.safe_torque_off is drive.positive_limit is drive.negative_limit is None
@@ -290,7 +290,7 @@ def test_within_a_tick_enabled_and_open_inputs_stay_so() -> None:
     drive = report()
     drive.begin_tick(0)
     for counter in (1, 2):
-        drive.take(Feedback(0.0, counter, enabled=True, safe_torque_off=False, home_switch=False))
+        drive.accept_feedback(Feedback(0.0, counter, enabled=True, safe_torque_off=False, home_switch=False))
     assert (drive.enabled, drive.safe_torque_off, drive.home_switch) == (True, False, False)
 
 
@@ -298,7 +298,7 @@ def test_within_a_tick_enabled_and_open_inputs_stay_so() -> None:
 def test_trouble_keeps_from_arming_by_its_code(fault_code: int | None, code: str | None) -> None:
     drive = report()
     drive.begin_tick(0)
-    drive.take(Feedback(0.0, 1, enabled=False, fault_code=fault_code))
+    drive.accept_feedback(Feedback(0.0, 1, enabled=False, fault_code=fault_code))
     obstacle = drive.obstacle_to_arming()
     assert (None if obstacle is None else obstacle[0]) == code
     drive.position = None
@@ -326,11 +326,11 @@ def test_after_the_bus_was_lost_the_heartbeat_has_its_whole_time_again() -> None
 def test_the_first_round_holds_within_its_tick_and_moves_with_the_origin() -> None:
     drive = report(100.0)
     drive.begin_tick(0)
-    drive.take(Feedback(95.0, 1))
-    drive.take(Feedback(5.0, 2))
+    drive.accept_feedback(Feedback(95.0, 1))
+    drive.accept_feedback(Feedback(5.0, 2))
     assert drive.position == pytest.approx(105.0)
     drive.shift(200.0)
-    drive.take(Feedback(7.0, 3))
+    drive.accept_feedback(Feedback(7.0, 3))
     assert drive.position == pytest.approx(307.0)
 
 
@@ -338,10 +338,10 @@ def test_ticks_without_sight_add_up_and_a_first_position_is_always_sure() -> Non
     """Half of 1000 mm at 320 mm/s takes 156.25 ticks."""
     drive = report(1000.0)
     drive.begin_tick(1000)
-    assert drive.take(Feedback(100.0))
+    assert drive.accept_feedback(Feedback(100.0))
     for _ in range(157):
         drive.begin_tick(0)
-    assert not drive.take(Feedback(100.0))
+    assert not drive.accept_feedback(Feedback(100.0))
 
 
 def test_without_a_round_what_the_encoder_counts_is_the_position() -> None:
@@ -358,7 +358,7 @@ def test_rounds_are_counted_on_from_the_last_position_or_the_estimate_also_befor
     assert drive.position == pytest.approx(160.0)
     drive.forget()
     drive.begin_tick(0, expected=720.0)
-    drive.take(Feedback(5.0))
+    drive.accept_feedback(Feedback(5.0))
     assert drive.position == pytest.approx(705.0)
 
 
@@ -380,10 +380,10 @@ def test_an_input_that_one_frame_of_a_tick_shows_is_active_for_that_tick(
     drive = report()
     drive.begin_tick(0)
     for counter, active in enumerate(frames):
-        drive.take(Feedback(0.0, counter, enabled=True, **{name: active}))
+        drive.accept_feedback(Feedback(0.0, counter, enabled=True, **{name: active}))
     assert getattr(drive, name) is seen_as
     drive.begin_tick(0)
-    drive.take(Feedback(0.0, 5, enabled=True, **{name: False}))
+    drive.accept_feedback(Feedback(0.0, 5, enabled=True, **{name: False}))
     assert getattr(drive, name) is False
 
 
@@ -393,7 +393,7 @@ def test_frames_that_came_too_late_are_told_where_there_were_any(late: int) -> N
     seen(drive, 0.0, 1)
     for counter in range(2, 2 + late):
         drive.begin_tick(0)
-        drive.take(Feedback(0.0, counter), Reception(late=True))
+        drive.accept_feedback(Feedback(0.0, counter), Reception(late=True))
     for _ in range(5):
         drive.begin_tick(0)
     ((_, cause),) = drive.troubles(arming=False)
@@ -420,7 +420,7 @@ def test_a_drive_has_a_fault_if_it_says_so_or_where_it_has_no_bit_for_that_by_it
 ) -> None:
     drive = report()
     drive.begin_tick(0)
-    drive.take(Feedback(12.5, 7, enabled=True, fault=fault, fault_code=code))
+    drive.accept_feedback(Feedback(12.5, 7, enabled=True, fault=fault, fault_code=code))
     assert (drive.fault_code, drive.faulted) == (seen, faulted)
     assert (drive.position, drive.enabled) == (12.5, True)
 
@@ -439,7 +439,7 @@ def test_a_time_out_of_commands_is_a_fault_of_an_axis_that_is_driven_alone(
 ) -> None:
     drive = report()
     drive.begin_tick(0)
-    drive.take(Feedback(12.5, 7, fault=fault, fault_code=code, command_timeout=True), driven=driven)
+    drive.accept_feedback(Feedback(12.5, 7, fault=fault, fault_code=code, command_timeout=True), driven=driven)
     assert (drive.fault_code, drive.faulted) == (seen, faulted)
 
 
@@ -449,5 +449,5 @@ def test_each_input_of_a_drive_is_that_input_of_the_report(*, at_once: bool) -> 
     for name in names:
         drive, given = report(), dict.fromkeys(names, not at_once) | {name: at_once}
         drive.begin_tick(0)
-        drive.take(Feedback(12.5, 7, None, None, None, None, **given))
+        drive.accept_feedback(Feedback(12.5, 7, None, None, None, None, **given))
         assert {one: getattr(drive, one) for one in names} == given

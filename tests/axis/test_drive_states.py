@@ -35,8 +35,8 @@ def tick(
 ) -> str | None:
     compared.begin_tick()
     if state is not None:
-        compared.take(state)
-    compared.look(missed, enabled, faulted, has_reported=reported, told_enabled=told)
+        compared.record(state)
+    compared.compare(missed, enabled, faulted, has_reported=reported, told_enabled=told)
     return compared.contradiction
 
 
@@ -128,7 +128,7 @@ def test_the_cause_has_its_numbers_and_outlives_a_reload_but_not_the_bus() -> No
     text = "for 400 ms the drive's heartbeat has said 'Fault', and its feedback enabled"
     assert compared.contradiction == text
     other = comparison()
-    other.take_over(compared)
+    other.continue_from(compared)
     assert other.contradiction == text
     other.forget()
     assert other.contradiction is None

@@ -212,9 +212,9 @@ def test_a_rejected_frame_is_one_error() -> None:
 def test_a_fault_is_heard_from_a_drive_that_has_lost_its_encoder() -> None:
     report = DriveReport(axis_settings(), PERIOD_S, DriveTraits(counter_modulus=16))
     report.begin_tick(0)
-    report.take(Feedback(0.0, 1, enabled=True))
+    report.accept_feedback(Feedback(0.0, 1, enabled=True))
     report.begin_tick(0)
-    report.take(Feedback(math.nan, 2, enabled=True, fault_code=7, safe_torque_off=True))
+    report.accept_feedback(Feedback(math.nan, 2, enabled=True, fault_code=7, safe_torque_off=True))
     assert TripCode.DRIVE_FAULT in {code for code, _ in report.troubles(arming=False)}
 
 
@@ -314,7 +314,7 @@ def test_a_limit_switch_stops_slow_motion_as_well(velocity: float) -> None:
 
 def test_another_master_disables_and_keeps_the_axis_from_being_armed_for_a_while() -> None:
     rig = rig_of().cruising()
-    rig.axis.take_foreign_command("0x201")
+    rig.axis.record_foreign_command("0x201")
     assert (rig.state(), trip_of(rig)) == (State.TRIPPED, TripCode.FOREIGN_COMMAND)
     with pytest.raises(Refused, match="another node on the bus commands this drive: 0x201"):
         rig.axis.reset()  # it has not been seen to be off yet

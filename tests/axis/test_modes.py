@@ -164,7 +164,7 @@ def test_homing_to_an_index_mark_takes_what_the_drive_latched() -> None:
 
     def see() -> None:
         if rig.position >= 33.25:
-            rig.axis.drive.take_index(33.25)
+            rig.axis.drive.record_index(33.25)
 
     until(rig, lambda: rig.state() is not State.HOMING, 30.0, see)
     assert rig.state() is State.HOLDING
@@ -177,7 +177,7 @@ def test_an_index_mark_where_the_axis_has_not_been_is_no_reference() -> None:
     rig = rig_with({"method": "index", "direction": "positive", **SEARCH}).armed()
     rig.axis.home()
     rig.seconds(1.0)
-    rig.axis.drive.take_index(900.0)
+    rig.axis.drive.record_index(900.0)
     rig.seconds(1.0)
     assert rig.axis.trip is not None
     assert rig.axis.trip.code is TripCode.HOMING_FAILED
@@ -359,7 +359,7 @@ def test_a_counter_that_wraps_is_followed(steps: list[float], period: float) -> 
     for number, step in enumerate(steps):
         true += step * period
         report.begin_tick(0)
-        report.take(Feedback((true + period / 2.0) % period - period / 2.0, number % 16))
+        report.accept_feedback(Feedback((true + period / 2.0) % period - period / 2.0, number % 16))
         assert report.position == pytest.approx(true, abs=1e-6 * period)
 
 
@@ -412,7 +412,7 @@ def test_samples_are_used_as_of_the_time_at_which_they_were_taken(ages: list[flo
         rig.axis.begin_tick(rig.tick_index, 0)
         rig.counter = (rig.counter + 1) % 16
         sample = rig.position - rig.velocity * age
-        rig.axis.take_feedback(Feedback(sample, rig.counter, rig.enabled), Reception(age))
+        rig.axis.accept_feedback(Feedback(sample, rig.counter, rig.enabled), Reception(age))
         command = rig.axis.step()
         worst = max(worst, abs(rig.axis.law.observer.innovation))
         rig.sample = rig.position
@@ -434,11 +434,11 @@ def test_after_missed_ticks_a_sample_without_a_date_is_not_used() -> None:
 def test_an_answer_is_not_replaced_by_what_the_drive_reports_unasked() -> None:
     report = DriveReport(axis_settings(), PERIOD_S, DriveTraits(counter_modulus=16))
     report.begin_tick(0)
-    report.take(Feedback(1.0, 1), Reception(0.01))
-    report.take(Feedback(2.0, 2, enabled=False), Reception(0.01, unasked=True))
+    report.accept_feedback(Feedback(1.0, 1), Reception(0.01))
+    report.accept_feedback(Feedback(2.0, 2, enabled=False), Reception(0.01, unasked=True))
     assert (report.position, report.enabled) == (1.0, False)
     report.begin_tick(0)
-    report.take(Feedback(3.0, 3), Reception(unasked=True))
+    report.accept_feedback(Feedback(3.0, 3), Reception(unasked=True))
     assert report.position == 3.0
 
 

@@ -342,7 +342,7 @@ def test_blind_it_goes_on_from_before_the_samples_that_are_in_doubt(*, in_doubt:
         bench.step(bench.observer.position)
     bench.observer.velocity = 80.0  # what samples since have made of it
     bench.motion.implausible = int(in_doubt)
-    bench.motion.go_blind()
+    bench.motion.ignore_feedback()
     assert (abs(bench.observer.velocity - 80.0) < 5.0) is not in_doubt
 
 

@@ -194,9 +194,9 @@ def with_heartbeat() -> AxisRig:
 
 def test_a_silent_heartbeat_disables() -> None:
     rig = with_heartbeat().seconds(0.05)
-    rig.axis.take_heartbeat(3)
+    rig.axis.record_heartbeat(3)
     rig.armed()
-    rig.axis.take_heartbeat(3)
+    rig.axis.record_heartbeat(3)
     rig.axis.move_to(400.0, 100.0)
     rig.seconds(0.29)
     assert rig.state() is State.SPEED_STAGE
@@ -212,19 +212,19 @@ def test_a_heartbeat_that_has_never_come_keeps_the_axis_from_being_armed() -> No
     with pytest.raises(Refused, match="no heartbeat has come from the drive yet") as refused:
         rig.axis.arm()
     assert refused.value.code == "heartbeat_lost"
-    rig.axis.take_heartbeat(None)
+    rig.axis.record_heartbeat(None)
     rig.axis.arm()
 
 
 def test_after_the_bus_was_lost_the_heartbeat_has_to_come_again() -> None:
     rig = with_heartbeat().seconds(0.05)
-    rig.axis.take_heartbeat(3)
+    rig.axis.record_heartbeat(3)
     rig.axis.drive.forget()
     rig.seconds(0.05)
     obstacle = rig.axis.obstacle_to_arming()
     assert obstacle is not None
     assert obstacle[0] == "heartbeat_lost"
-    rig.axis.take_heartbeat(4)  # rebooted while nobody could hear it
+    rig.axis.record_heartbeat(4)  # rebooted while nobody could hear it
     assert rig.axis.obstacle_to_arming() is None
     assert not rig.axis.referenced
 
@@ -232,10 +232,10 @@ def test_after_the_bus_was_lost_the_heartbeat_has_to_come_again() -> None:
 @pytest.mark.parametrize("armed", [True, False])
 def test_a_reboot_loses_the_reference_armed_or_not(*, armed: bool) -> None:
     rig = AxisRig().seconds(0.05)
-    rig.axis.take_heartbeat(3)
+    rig.axis.record_heartbeat(3)
     if armed:
         rig.cruising(for_s=0.2)
-    rig.axis.take_heartbeat(4)
+    rig.axis.record_heartbeat(4)
     assert not rig.axis.referenced
     assert (rig.axis.trip is not None) == armed
     assert rig.state() is (State.TRIPPED if armed else State.DISARMED)

@@ -37,7 +37,7 @@ def homed(
     rig = AxisRig(axis, position=place, sample=place)
     rig.seconds(0.1)
     if boots is not None:
-        axis.take_heartbeat(boots)
+        axis.record_heartbeat(boots)
     axis.set_position(place)
     rig.tick()
     assert axis.reference.source is ReferenceSource.HOMED
@@ -118,9 +118,9 @@ def test_a_drive_without_boot_counter_that_counts_anew(place: float, silent_tick
 @pytest.mark.parametrize("place", [300.0, -40.0, 25.0])
 def test_a_drive_that_shows_its_old_boot_counter_and_counts_anew(place: float, silent_ticks: int) -> None:
     rig = restarts(homed(place, boots=BOOTS), silent_ticks)
-    rig.axis.take_heartbeat(BOOTS)
+    rig.axis.record_heartbeat(BOOTS)
     rig.seconds(0.1)
-    rig.axis.take_heartbeat(BOOTS)
+    rig.axis.record_heartbeat(BOOTS)
     rig.seconds(0.1)
     assert f"moved by {-place:+.4g} mm" in reason(rig)
 
@@ -134,30 +134,30 @@ def test_near_the_old_count_only_a_boot_counter_proves_anything(silent_ticks: in
     assert f"{10 * (LIMIT_TICKS + 2)} ms" in reason(without)
     the_same = restarts(homed(count, boots=BOOTS), silent_ticks)
     the_same.seconds(0.02)
-    the_same.axis.take_heartbeat(BOOTS)
+    the_same.axis.record_heartbeat(BOOTS)
     assert not reason(the_same.seconds(0.1))
     another = restarts(homed(count, boots=BOOTS), silent_ticks)
-    another.axis.take_heartbeat(BOOTS + 1)
+    another.axis.record_heartbeat(BOOTS + 1)
     assert reason(another.seconds(0.1)) == "the drive has rebooted, and its encoder starts to count anew"
 
 
 def test_until_the_heartbeat_has_come_the_axis_cannot_be_armed() -> None:
     rig = restarts(homed(0.0, boots=BOOTS), 20)
-    rig.axis.take_heartbeat(BOOTS)  # before the feedback: it says nothing of what came after
+    rig.axis.record_heartbeat(BOOTS)  # before the feedback: it says nothing of what came after
     rig.seconds(0.05)
     with pytest.raises(Refused, match="to say whether it has rebooted") as refused:
         rig.axis.arm()
     assert refused.value.code == "heartbeat_lost"
-    rig.axis.take_heartbeat(BOOTS, late=True)
+    rig.axis.record_heartbeat(BOOTS, late=True)
     assert rig.axis.obstacle_to_arming() is not None
-    rig.axis.take_heartbeat(BOOTS)
+    rig.axis.record_heartbeat(BOOTS)
     assert rig.axis.obstacle_to_arming() is None
 
 
 def test_a_heartbeat_without_a_count_proves_nothing() -> None:
     rig = restarts(homed(0.0, boots=BOOTS), 20)
     rig.seconds(0.05)
-    rig.axis.take_heartbeat(None)
+    rig.axis.record_heartbeat(None)
     obstacle = rig.axis.obstacle_to_arming()
     assert obstacle is not None
     assert obstacle[0] == "heartbeat_lost"
@@ -317,7 +317,7 @@ def test_an_axis_that_coasts_through_a_silence_is_where_it_should_be(silent_s: f
     rig.silent = False
     rig.sample = rig.position
     rig.seconds(0.1)
-    rig.axis.take_heartbeat(BOOTS)
+    rig.axis.record_heartbeat(BOOTS)
     rig.seconds(1.0)
     assert rig.axis.trip is not None
     assert not reason(rig)
@@ -332,7 +332,7 @@ def test_pushed_out_of_sight_a_homed_axis_has_to_be_homed_again(silent_ticks: in
     rig.position += 10.0
     rig.silent, rig.sample = False, rig.position
     rig.seconds(0.1)
-    rig.axis.take_heartbeat(BOOTS)
+    rig.axis.record_heartbeat(BOOTS)
     assert "or the axis was moved unseen" in reason(rig)
 
 
@@ -356,7 +356,7 @@ def test_a_counter_that_wraps_and_counts_anew(period: float, silent_ticks: int, 
 
 def other_settings(rig: AxisRig, change: Callable[[Axis], None] = lambda _: None) -> AxisRig:
     axis = Axis(design_axis(axis_settings({"required": True}, effort=23.0), PERIOD_S), TRAITS)
-    axis.take_over(rig.axis)
+    axis.continue_from(rig.axis)
     change(axis)
     rig.axis = axis
     return rig
@@ -400,7 +400,7 @@ def test_a_place_that_was_found_by_other_rules_does_not_count_after_a_reload(
     wants = {"required": required}
     rig = homed(homing=before | wants)
     axis = Axis(design_axis(axis_settings(change | wants), PERIOD_S), TRAITS)
-    axis.take_over(rig.axis)
+    axis.continue_from(rig.axis)
     assert axis.reference.lost_because == ("[axis.homing] has changed" if is_lost else "")
     assert axis.referenced is not is_lost
 
@@ -408,7 +408,7 @@ def test_a_place_that_was_found_by_other_rules_does_not_count_after_a_reload(
 def test_an_axis_that_nobody_has_homed_loses_nothing_by_another_homing() -> None:
     rig = AxisRig(Axis(design_axis(axis_settings(), PERIOD_S), TRAITS))
     axis = Axis(design_axis(axis_settings({"position": 3.0}), PERIOD_S), TRAITS)
-    axis.take_over(rig.axis)
+    axis.continue_from(rig.axis)
     assert axis.reference.source is ReferenceSource.ENCODER
 
 
@@ -424,7 +424,7 @@ def test_a_restart_within_a_search_finds_nothing(silent_ticks: int) -> None:
     rig.axis.home()
     rig.seconds(0.5)
     restarts(rig, silent_ticks)
-    rig.axis.drive.take_index(3.0)
+    rig.axis.drive.record_index(3.0)
     rig.seconds(1.0)
     assert rig.state() not in DRIVEN
     assert rig.axis.reference.source is None

@@ -211,7 +211,7 @@ def test_a_drive_that_has_a_heartbeat_is_not_armed_before_one() -> None:
         Axis(design_axis(axis_settings(), PERIOD_S), DriveTraits(counter_modulus=16, has_heartbeat=True))
     ).seconds(0.05)
     assert refused(rig.axis.arm) == "heartbeat_lost"
-    rig.axis.take_heartbeat(1)
+    rig.axis.record_heartbeat(1)
     rig.armed()
 
 

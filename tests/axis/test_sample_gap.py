@@ -25,12 +25,12 @@ class DatedRig(AxisRig):
     """An axis whose samples are dated, as a bus with time stamps does it."""
 
     def tick(self, missed: int = 0):  # type: ignore[no-untyped-def]
-        take = self.axis.take_feedback
-        self.axis.take_feedback = lambda feedback, reception=IN_TIME: take(
+        take = self.axis.accept_feedback
+        self.axis.accept_feedback = lambda feedback, reception=IN_TIME: take(
             feedback._replace(position=self.answer), Reception((1 + missed) * PERIOD_S)
         )
         command = super().tick(missed)
-        self.axis.take_feedback = take
+        self.axis.accept_feedback = take
         self.answer = self.sample  # of the command that has left just now
         return command
 
@@ -93,7 +93,7 @@ def test_the_allowance_grows_with_the_gap_and_goes_with_the_samples() -> None:
     assert gap(DEMO, 5).allowance == pytest.approx(0.5 * 0.3 * 3200.0 * 0.05**2, rel=0.2)
     one = gap(DEMO, 5)
     for _ in range(100):
-        one.take()
+        one.accept()
     assert one.allowance == 0.0
 
 
@@ -110,7 +110,7 @@ def test_an_encoder_that_stands_still_does_not_look_alive_by_the_dates_of_its_sa
     def report(age_s: float, counter: int) -> None:
         drive.begin_tick(0, motion.expected_position(driven=True))
         motion.begin_tick(0)
-        drive.take(Feedback(0.0, counter % 16, True), Reception(age_s))
+        drive.accept_feedback(Feedback(0.0, counter % 16, True), Reception(age_s))
 
     for counter in range(3):
         report(PERIOD_S, counter)

@@ -20,7 +20,7 @@ def noted(velocity: float, disturbance: float, ticks: int = 1, load: StandingLoa
     observer = DESIGN.build_law().observer
     observer.velocity, observer.disturbance = velocity, disturbance
     for _ in range(ticks):
-        load.note(observer)
+        load.update(observer)
     return load
 
 

@@ -52,7 +52,7 @@ class Rig:
     def tick(self) -> None:
         self._tick += 1
         self.axis.begin_tick(self._tick, 0)
-        self.axis.take_feedback(Feedback(self._sample, self._tick % 16, self._enabled))
+        self.axis.accept_feedback(Feedback(self._sample, self._tick % 16, self._enabled))
         command = self.axis.step()
         self._enabled = command.enable is True
         self._sample = round(self.position / self._resolution) * self._resolution

@@ -40,7 +40,7 @@ class LoadedRig(AxisRig):
         self.axis.begin_tick(self.tick_index, missed)
         self.counter = (self.counter + 1) % 16
         age_s = self.age_s if self.dated else None
-        self.axis.take_feedback(Feedback(self.sample, self.counter, self.enabled), Reception(age_s))
+        self.axis.accept_feedback(Feedback(self.sample, self.counter, self.enabled), Reception(age_s))
         command = self.axis.step()
         self.enabled = command.enable is True
         late_s = PERIOD_S * self.chance.uniform(1e-3, LATE_SHARE)

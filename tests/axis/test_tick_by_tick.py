@@ -209,7 +209,7 @@ def test_a_found_reference_moves_the_origin_and_ends_the_search() -> None:
     rig.armed().axis.home()
     rig.seconds(1.0)
     place = rig.position
-    rig.axis.drive.take_index(place)
+    rig.axis.drive.record_index(place)
     until(rig, lambda: rig.state() is not State.HOMING, 5.0)
     assert (rig.state(), rig.axis.referenced) == (State.HOLDING, True)
     assert rig.axis.move is not None
@@ -232,13 +232,13 @@ def test_a_search_that_fails_trips_with_its_text_and_gives_the_effort_limit_back
 
 def test_a_reboot_trips_an_enabled_axis_and_a_foreign_command_too() -> None:
     rig = AxisRig().armed()
-    rig.axis.take_heartbeat(1)
-    rig.axis.take_heartbeat(1)
+    rig.axis.record_heartbeat(1)
+    rig.axis.record_heartbeat(1)
     assert [rig.axis.referenced] == [True]
-    rig.axis.take_heartbeat(2)
+    rig.axis.record_heartbeat(2)
     assert (tripped(rig), rig.axis.referenced) == (TripCode.DRIVE_REBOOTED, False)
     rig = AxisRig().armed()
-    rig.axis.take_foreign_command("0x201")
+    rig.axis.record_foreign_command("0x201")
     assert rig.axis.trip is not None
     assert rig.axis.trip.code is TripCode.FOREIGN_COMMAND
     assert rig.axis.trip.cause.endswith("0x201")
@@ -261,22 +261,22 @@ def test_after_other_settings_a_reference_is_known_that_was_found_by_the_same_ru
     else:
         former.reference.lose("a test")
     former.begin_tick(1, 0)
-    former.take_feedback(Feedback(33.0, 1))
+    former.accept_feedback(Feedback(33.0, 1))
     axis = axis_with(required=required)
-    axis.take_over(former)
+    axis.continue_from(former)
     assert (axis.referenced, axis.drive.position) == (knows, 33.0)
 
 
 def test_a_round_that_is_not_sure_loses_the_reference_for_good() -> None:
     axis = Axis(design_axis(axis_settings(), PERIOD_S), DriveTraits(counter_modulus=16, position_period=1000.0))
     axis.begin_tick(1, 0)
-    axis.take_feedback(Feedback(0.0))
+    axis.accept_feedback(Feedback(0.0))
     assert [axis.referenced] == [True]
     axis.begin_tick(1000, 998)
-    axis.take_feedback(Feedback(0.0))
+    axis.accept_feedback(Feedback(0.0))
     assert [axis.referenced] == [False]
     axis.begin_tick(1001, 0)
-    axis.take_feedback(Feedback(0.0))
+    axis.accept_feedback(Feedback(0.0))
     assert [axis.referenced] == [False]
 
 
@@ -374,8 +374,8 @@ def test_trips_say_their_numbers() -> None:
     assert rig.axis.trip is not None
     assert rig.axis.trip.cause.startswith("the positive limit switch is active at ")
     rig = AxisRig().armed()
-    rig.axis.take_heartbeat(1)
-    rig.axis.take_heartbeat(2)
+    rig.axis.record_heartbeat(1)
+    rig.axis.record_heartbeat(2)
     assert rig.axis.trip is not None
     assert rig.axis.trip.cause == "the drive has rebooted while it was enabled"
     rig = AxisRig(enables=False).seconds(0.05)
@@ -488,7 +488,7 @@ def test_two_disabled_ticks_are_waited_for_with_a_drive_that_does_not_tell() -> 
 
     def tick() -> State:
         axis.begin_tick(1, 0)
-        axis.take_feedback(Feedback(0.0))
+        axis.accept_feedback(Feedback(0.0))
         axis.step()
         return axis.state
 
@@ -519,7 +519,7 @@ def test_arming_waits_for_feedback_of_its_tick_also_where_the_drive_does_not_tel
             axis.arm()
         axis.begin_tick(tick, 0)
         if tick != 3:
-            axis.take_feedback(Feedback(0.0))
+            axis.accept_feedback(Feedback(0.0))
         axis.step()
         assert axis.state is state
 
@@ -549,8 +549,8 @@ def test_a_jog_that_reaches_its_limit_holds_there() -> None:
 
 def test_a_reboot_of_a_disarmed_drive_loses_the_reference_without_a_trip() -> None:
     axis = axis_with()
-    axis.take_heartbeat(1)
-    axis.take_heartbeat(2)
+    axis.record_heartbeat(1)
+    axis.record_heartbeat(2)
     assert (axis.referenced, axis.trip) == (False, None)
 
 

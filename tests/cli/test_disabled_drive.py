@@ -32,7 +32,7 @@ def snapshots() -> Snapshots:
         tell("disabling", world)
         await world.seconds(0.1)
         tell("disabled", world)
-        world.axis.take_foreign_command("0x201 [00], which disables the drive", enables=False)
+        world.axis.record_foreign_command("0x201 [00], which disables the drive", enables=False)
         tell("foreign", world)
         await world.seconds(0.6)
         await world.armed()

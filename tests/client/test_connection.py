@@ -29,13 +29,13 @@ def test_who_finds_the_queue_full_waits_for_a_place_in_it(tmp_path: Path) -> Non
             Connection(tmp_path / "s", 0.05)
         assert caught.value.code is Reason.NO_SERVICE
 
-        def let_in() -> None:
+        def accept_connections() -> None:
             for _ in range(2):
                 queue.enter_context(listener.accept()[0])
 
         waiting = threading.Thread(target=lambda: queue.callback(Connection(tmp_path / "s", 60.0).close))
         waiting.start()
-        let_in()
+        accept_connections()
         waiting.join(60.0)
         assert not waiting.is_alive()
 
@@ -96,12 +96,12 @@ def test_what_is_no_answer_is_told(script: Script, line: bytes) -> None:
 
 def test_what_has_come_is_taken_without_waiting(script: Script) -> None:
     with contextlib.closing(script.connection_of()) as connection:
-        assert connection.taken() == []
+        assert connection.drain() == []
         script.answers(snapshot(pid=1), snapshot(pid=2))
-        assert [one["pid"] for one in connection.taken()] == [1, 2]
+        assert [one["pid"] for one in connection.drain()] == [1, 2]
         script.connection.close()
         with pytest.raises(Unreachable, match="is gone"):
-            connection.taken()
+            connection.drain()
 
 
 # No service -----------------------------------------------------------------------------------------------------------

@@ -65,8 +65,8 @@ def test_what_stands_is_a_mean_over_a_time(period_s: float) -> None:
     observer.correct(0.0, 1.0)
     observer.innovation = 1.0
     for _ in range(round(0.06 / period_s)):
-        load.note(observer)
-        braking.note(observer, 0.0, corrected=True, sure=False)
+        load.update(observer)
+        braking.update(observer, 0.0, corrected=True, sure=False)
     assert load.load == pytest.approx(1.0 - 0.7**6)
     assert braking._standing == pytest.approx(1.0 - 0.8**6)
 

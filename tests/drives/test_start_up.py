@@ -43,7 +43,7 @@ def test_an_empty_sequence_is_done_from_the_start() -> None:
     start_up = StartUp((), PERIOD_S)
     assert is_done(start_up)
     assert ticks(start_up, 3) == [0, 0, 0]
-    start_up.take(frame(1))
+    start_up.accept(frame(1))
     start_up.restart()
     assert is_done(start_up)
     assert start_up.failure == ""
@@ -52,12 +52,12 @@ def test_an_empty_sequence_is_done_from_the_start() -> None:
 def test_each_step_waits_for_its_answer() -> None:
     start_up = StartUp((step(10), step(20)), PERIOD_S)
     assert ticks(start_up, 2) == [10, 0]
-    start_up.take(frame(21))  # of another step
+    start_up.accept(frame(21))  # of another step
     assert ticks(start_up, 1) == [0]
-    start_up.take(frame(11))
+    start_up.accept(frame(11))
     assert not is_done(start_up)
     assert ticks(start_up, 2) == [20, 0]
-    start_up.take(frame(21))
+    start_up.accept(frame(21))
     assert is_done(start_up)
     assert ticks(start_up, 5) == [0] * 5
 
@@ -72,7 +72,7 @@ def test_a_step_that_waits_for_nothing_is_over_as_it_is_sent() -> None:
 
 def test_what_comes_before_the_question_is_no_answer_to_it() -> None:
     start_up = StartUp((step(10),), PERIOD_S)
-    start_up.take(frame(11))
+    start_up.accept(frame(11))
     assert not is_done(start_up)
 
 
@@ -84,7 +84,7 @@ def test_it_is_tried_again_and_then_begins_anew(retries: int) -> None:
     assert start_up.failure == ""
     assert ticks(start_up, 2) == [10, 20]
     assert start_up.failure == "step 20 failed"
-    start_up.take(frame(21))
+    start_up.accept(frame(21))
     assert is_done(start_up)
 
 
@@ -98,11 +98,11 @@ def test_missed_ticks_count() -> None:
 def test_it_can_be_begun_anew_at_any_time() -> None:
     start_up = StartUp((step(10), step(20)), PERIOD_S)
     start_up.frames(0)
-    start_up.take(frame(11))
+    start_up.accept(frame(11))
     start_up.frames(0)
     start_up.restart()
     assert ticks(start_up, 1) == [10]
-    start_up.take(frame(21))
+    start_up.accept(frame(21))
     assert not is_done(start_up)
 
 

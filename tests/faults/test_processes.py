@@ -123,7 +123,7 @@ def test_the_verdict_can_fail(cells: dict[int, Cell]) -> None:
 def test_what_a_service_does_later_is_not_read_from_what_has_waited() -> None:
     """Status lines pile up while nobody reads them, and a busy bus brings commands later than status tells of them."""
     orders = [Order(0.5, 3.0, True), Order(2.0, 3.0, True)]
-    operator = SimpleNamespace(take=lambda: True, unread=deque({"ticks": {"count": 40}} for _ in range(40)))
+    operator = SimpleNamespace(read_snapshots=lambda: True, unread=deque({"ticks": {"count": 40}} for _ in range(40)))
     operator.latest = {"ticks": {"count": 40}, "axis": {"effort": 3.0}}
 
     def watch(condition: Callable[[Snapshot], bool], _: str) -> None:
@@ -393,7 +393,7 @@ def test_the_listener_unwraps_positions_and_ignores_what_it_cannot_read(listener
         drive.send(can.Message(arbitration_id=profile.feedback_id.identifier, is_extended_id=False, data=b"1"))
         data = profile.encode_command(1.5, enable=True, counter=1)
         drive.send(can.Message(arbitration_id=profile.command_id.identifier, is_extended_id=False, data=data))
-    listener.take()
+    listener.read_frames()
     assert [report.position for report in listener.reports] == pytest.approx([end - 1.0, end, end + 1.0, end])
     assert [(order.effort, order.enable) for order in listener.orders] == [(1.5, True)]
 

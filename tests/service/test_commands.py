@@ -254,10 +254,10 @@ def test_when_the_client_that_commands_has_gone(policy: HolderLost, state: State
     service.ask("one", op="arm", axis="x")
     axis = service.axes["y"]
     axis.state = state
-    service.requests.leave("another")
+    service.requests.disconnect("another")
     assert axis.told == []
     with structlog.testing.capture_logs() as logs:
-        service.requests.leave("one")
+        service.requests.disconnect("one")
     if state is State.JOGGING:
         assert axis.told == [("stop", "one has gone, who held the jog")]
     elif state in COMMANDED and policy != "continue":

@@ -53,11 +53,11 @@ def test_lines_are_taken_one_by_one_and_half_a_line_is_none_yet() -> None:
         assert not has_line(connection)
         read(connection, theirs, b"one\ntwo\nth")
         assert has_line(connection)
-        assert connection.take_line() == b"one"
-        assert connection.take_line() == b"two"
+        assert connection.pop_line() == b"one"
+        assert connection.pop_line() == b"two"
         assert not has_line(connection)
         read(connection, theirs, b"ree\n")
-        assert connection.take_line() == b"three"
+        assert connection.pop_line() == b"three"
         assert not connection.ended
 
     at_both_ends(script)
@@ -71,7 +71,7 @@ def test_what_is_cut_off_by_the_end_is_a_line_and_nothing_is_none() -> None:
         connection.receive()
         assert connection.ended
         assert has_line(connection)
-        assert connection.take_line() == b"cut"
+        assert connection.pop_line() == b"cut"
         assert not has_line(connection)
 
     at_both_ends(script)
@@ -84,9 +84,9 @@ def test_a_line_with_its_end_may_be_as_long_as_the_longest(length: int, *, too_l
         assert connection.too_long is too_long
         assert has_line(connection)
         if not too_long:
-            assert connection.take_line() == length * b"x"
+            assert connection.pop_line() == length * b"x"
             connection.receive()
-            assert connection.take_line() == b"more"
+            assert connection.pop_line() == b"more"
 
     at_both_ends(script)
 
@@ -176,7 +176,7 @@ def test_what_is_written_is_kept_until_it_is_taken_and_comes_whole() -> None:
         for start in range(0, len(whole), 100_000):
             connection.write(whole[start : start + 100_000])
         assert has_unsent(connection)
-        taking = asyncio.create_task(connection.taken())
+        taking = asyncio.create_task(connection.flushed())
         came = b""
         while len(came) < len(whole):
             await asyncio.sleep(0.001)
@@ -219,7 +219,7 @@ def test_what_is_written_to_nobody_is_lost_and_is_no_error() -> None:
         assert not has_unsent(connection)
         assert is_gone(connection)
         assert not connection.send_snapshot(b"lost")
-        await connection.taken()  # which never comes
+        await connection.flushed()  # which never comes
 
     at_both_ends(script)
 
@@ -227,7 +227,7 @@ def test_what_is_written_to_nobody_is_lost_and_is_no_error() -> None:
 def test_after_it_is_closed_nothing_is_written_or_waited_for() -> None:
     async def script(connection: Connection, theirs: socket.socket) -> None:
         connection.write((1 << 20) * b"x")
-        waiting = [asyncio.create_task(one) for one in (connection.readable(), connection.taken())]
+        waiting = [asyncio.create_task(one) for one in (connection.readable(), connection.flushed())]
         await asyncio.sleep(0.0)
         connection.close()
         connection.close()

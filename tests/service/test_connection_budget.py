@@ -64,12 +64,12 @@ def test_who_goes_first() -> None:
         for one in (holder, stopping, busy, idle, later, ended):
             connections.add(one)
         order = []
-        while (leaving := connections.the_one_to_go("h")) is not None:
+        while (leaving := connections.to_evict("h")) is not None:
             order.append(leaving)
             connections.discard(leaving)
         assert order == [ended, idle, later, busy, stopping]
         assert list(connections) == [holder]
-        assert connections.the_one_to_go(None) is holder
+        assert connections.to_evict(None) is holder
 
     with_ends(script)
 
@@ -82,7 +82,7 @@ def test_who_has_just_asked_for_something_is_the_last_to_go_of_those_who_are_idl
     connections.touch(first)
     connections.touch(third)  # which is not among them
     assert list(connections) == [second, first]
-    assert connections.the_one_to_go(None) is second
+    assert connections.to_evict(None) is second
 
 
 # Those who have just come ---------------------------------------------------------------------------------------------

@@ -106,7 +106,7 @@ def test_a_drive_that_stays_enabled_after_disarm_trips_and_is_told_everywhere_fo
 
 
 def foreign(world: World) -> None:
-    world.axis.take_foreign_command("0x201")
+    world.axis.record_foreign_command("0x201")
 
 
 def sto_is_told(world: World) -> None:

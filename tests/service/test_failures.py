@@ -19,7 +19,7 @@ QUICK_STOP_TICKS = 100.0 / 4000.0 / 0.01
 
 # Where in the tick the defect shows: the part of the service, and what it calls there.
 PLACES: dict[str, Callable[[World], tuple[Any, str]]] = {
-    "read": lambda world: (world.axis_loop.receiver, "take"),
+    "read": lambda world: (world.axis_loop.receiver, "deliver"),
     "update": lambda world: (world.axis, "step"),
     "write": lambda world: (world.axis_loop.drive, "encode"),
     "publish": lambda world: (world.axis_loop.recorder, "add"),

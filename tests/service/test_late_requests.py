@@ -290,13 +290,13 @@ def test_what_is_known_of_when_a_descriptor_was_looked_at() -> None:
     async def main() -> None:
         age = RequestAge(0.01)
         begun_s = age.now_s()
-        assert age.noticed_s(begun_s) is None
+        assert age.was_empty_until_s(begun_s) is None
         for _ in range(3):
             await asyncio.sleep(0.01)
             age.tick()
-        assert age.noticed_s(begun_s) == pytest.approx(0.01)
-        assert age.noticed_s(0.015) is None  # which was watched from then on only
+        assert age.was_empty_until_s(begun_s) == pytest.approx(0.01)
+        assert age.was_empty_until_s(0.015) is None  # which was watched from then on only
         age.tick()
-        assert age.noticed_s(0.015) == pytest.approx(0.02)
+        assert age.was_empty_until_s(0.015) == pytest.approx(0.02)
 
     run(main())

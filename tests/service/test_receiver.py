@@ -121,7 +121,7 @@ class TakingAxis:
     def __init__(self) -> None:
         self.taken: list[tuple[Feedback, Reception]] = []
 
-    def take_feedback(self, feedback: Feedback, reception: Reception) -> None:
+    def accept_feedback(self, feedback: Feedback, reception: Reception) -> None:
         self.taken.append((feedback, reception))
 
 
@@ -134,7 +134,7 @@ def received(
         receiver = receiver_of(dated=dated)
         axis = TakingAxis()
         receiver.begin_tick(Tick(100, 1.0, lateness_s, 0), sent_s)
-        receiver.take(lambda _: HERE, can.Message(), cast("Any", axis), link or Link(BUS, []))
+        receiver.deliver(lambda _: HERE, can.Message(), cast("Any", axis), link or Link(BUS, []))
         ((feedback, reception),) = axis.taken
         assert feedback is HERE  # nothing is copied on the way
         return reception
@@ -191,10 +191,10 @@ def test_how_old_the_frames_were_and_when_the_latest_came_is_known_where_the_bus
     async def take() -> None:
         receiver, axis, link = receiver_of(dated=False), TakingAxis(), Link(BUS, [])
         receiver.begin_tick(Tick(0, 0.0, 0.0, 0), None)
-        receiver.take(lambda _: HERE, can.Message(), cast("Any", axis), link)
+        receiver.deliver(lambda _: HERE, can.Message(), cast("Any", axis), link)
         assert (receiver.arrived_s, receiver.frame_age.count) == (None, 0)
         monkeypatch.setattr(link, "age_s", lambda _: 0.002)
-        receiver.take(lambda _: HERE, can.Message(), cast("Any", axis), link)
+        receiver.deliver(lambda _: HERE, can.Message(), cast("Any", axis), link)
         assert receiver.arrived_s == pytest.approx(-0.002)
         assert receiver.frame_age.largest_us == pytest.approx(2000.0)
         receiver.begin_tick(Tick(1, 0.01, 0.0, 0), 0.0)

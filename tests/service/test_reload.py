@@ -9,7 +9,7 @@ import pytest
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
 from twostage_servo.app.assembly import prepare_axes
-from twostage_servo.app.build import put_axes_in, traits_of
+from twostage_servo.app.build import replace_axes, traits_of
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
 from twostage_servo.config.errors import ConfigError
@@ -46,7 +46,7 @@ def reloading(world: World, file: Path) -> Callable[[], Awaitable[Change]]:
     async def prepare() -> Change:
         parts = world.parts
         axes = prepare_axes(traits_of(parts.axis_loops), running, Machine.of(load(file)), parts.period_s)
-        return lambda: put_axes_in(parts, axes)
+        return lambda: replace_axes(parts, axes)
 
     return prepare
 
@@ -111,7 +111,7 @@ def test_a_drive_that_reboots_is_noticed_across_a_reload(file: Path) -> None:
         boots = world.axis.drive.heartbeat.state.boots
         world.prepare = reloading(world, file)
         await world.reload()
-        world.axis.take_heartbeat(77)
+        world.axis.record_heartbeat(77)
         assert world.axis.drive.heartbeat.state.boots == boots + 1
         assert not world.axis.referenced
 

@@ -11,7 +11,7 @@ import structlog
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, StatusRequest
 from twostage_servo.app.assembly import build_axis
-from twostage_servo.app.build import put_axes_in
+from twostage_servo.app.build import replace_axes
 from twostage_servo.axis.messages import Command
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
@@ -129,7 +129,7 @@ def test_after_a_reload_the_end_waits_for_what_the_axes_take_by_then(stated: boo
         shutdown = world.service.shutdown
         before = shutdown.settings.shutdown_timeout_ms
         slow = load(None, ["axis.limits.acceleration=20"])
-        put_axes_in(world.parts, [build_axis(slow, world.axis_loop.drive.traits, world.parts.period_s)])
+        replace_axes(world.parts, [build_axis(slow, world.axis_loop.drive.traits, world.parts.period_s)])
         assert (shutdown.settings.shutdown_timeout_ms > 10.0 * before) is not stated
         assert shutdown.settings.shutdown_timeout_ms == (before if stated else 2.0 * stop_ms(world.axis.design))
 

@@ -13,7 +13,7 @@ import structlog
 
 from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.assembly import prepare_axes
-from twostage_servo.app.build import build_parts, put_axes_in, traits_of
+from twostage_servo.app.build import build_parts, replace_axes, traits_of
 from twostage_servo.app.closed_loop import ClosedLoop, Wires, closed_loop
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import Command
@@ -78,7 +78,7 @@ class Plant:
 
     def reload(self, running: Machine, fresh: Machine) -> None:
         parts = self.loop.parts
-        put_axes_in(parts, prepare_axes(traits_of(parts.axis_loops), running, fresh, parts.period_s))
+        replace_axes(parts, prepare_axes(traits_of(parts.axis_loops), running, fresh, parts.period_s))
 
     def states(self) -> list[State]:
         return [axis_loop.axis.state for axis_loop in self.service.axis_loops]

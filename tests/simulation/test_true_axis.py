@@ -132,13 +132,13 @@ def test_marks_are_found_as_a_fine_grid_finds_them(
             marks = [0.2 + number * pitch for number in numbers]
             assume(all(abs(mark - end) > 1e-9 for mark in marks for end in (lowest, highest)))
             between = [mark for mark in marks if lowest < mark < highest]
-            seen = fine.take_passed_mark()
+            seen = fine.pop_passed_mark()
             if between:  # when it turns round within a step, the grid misses a mark that the axis does not
                 assert seen == pytest.approx(max(between) if fine.position > before else min(between))
             last = seen or last
         now_s += duration_s
         whole.advance(now_s, effort)
-        assert whole.take_passed_mark() == last
+        assert whole.pop_passed_mark() == last
 
 
 @given(st.lists(st.sampled_from([-2.5, -0.75, -0.25, 0.25, 0.5, 1.0, 3.0]), max_size=20), st.sampled_from([0.0, 0.25]))
@@ -150,11 +150,11 @@ def test_a_mark_counts_once_whether_it_is_passed_or_stopped_at(steps: list[float
         marks._look_for_mark(0.5, position, position + step)
         position += step
         if pitch:  # a mark at every quarter: the one that it stops at is the last
-            assert marks.take_passed_mark() == position
+            assert marks.pop_passed_mark() == position
         else:
             begin = position - step
             expected = begin < 0.5 <= position or position <= 0.5 < begin
-            assert marks.take_passed_mark() == (0.5 if expected else None)
+            assert marks.pop_passed_mark() == (0.5 if expected else None)
 
 
 # Wrap ----------------------------------------------------------------------------------------------------------------

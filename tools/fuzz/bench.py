@@ -268,7 +268,7 @@ class Bench:
         receivers = axis_loop.bus._receivers  # noqa: SLF001 - counts what they decode
         for name, kind in self.kinds.items():
             decode = self._counted(name, axis_loop.drive.decoders[kind.identifier])
-            receivers[kind.identifier.identifier] = functools.partial(axis_loop._take, decode)  # noqa: SLF001 - likewise
+            receivers[kind.identifier.identifier] = functools.partial(axis_loop._deliver, decode)  # noqa: SLF001 - likewise
 
     def _counted(self, name: str, decode: Decoder) -> Decoder:
         decoded = self.decoded

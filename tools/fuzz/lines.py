@@ -344,7 +344,7 @@ class _Conversation:
             for line in lines:
                 self._socket_rig.ask(line)
         if rng.random() < 0.05:
-            bench.harness.requests.leave(bench.harness.requests.authority.holder or "")
+            bench.harness.requests.disconnect(bench.harness.requests.authority.holder or "")
 
     async def _connected(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         if self._connection is None:

@@ -111,7 +111,7 @@ class SocketTarget:
         for line in data[1:].split(b"\n")[:_MOST_LINES]:
             self._socket_rig.ask(Line(line, refused=False))
             await self._tick(pause)
-        bench.harness.requests.leave(bench.harness.requests.authority.holder or "")
+        bench.harness.requests.disconnect(bench.harness.requests.authority.holder or "")
 
     def close(self) -> None:
         """End the service."""

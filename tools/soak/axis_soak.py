@@ -96,12 +96,12 @@ class AxisSoak:
         axis.begin_tick(tick, missed)
         feedback = drive.feedback(tick)
         if feedback is not None:
-            axis.take_feedback(feedback)
+            axis.accept_feedback(feedback)
         if tick % self._heartbeat_ticks == 0 and tick >= drive.heartbeat_silent_until:
             if drive.boots != self._boots_told:
                 self._boots_told = drive.boots
                 self.drive_watch.rebooted()
-            axis.take_heartbeat(drive.boots)
+            axis.record_heartbeat(drive.boots)
         command = axis.step()
         drive.obey(command, tick)
         self.invariants.look(
@@ -174,7 +174,7 @@ class AxisSoak:
         self.drive.velocity += self.random.uniform(-knock, knock)
 
     def _foreign_command(self) -> None:
-        self.axis.take_foreign_command("soaked")
+        self.axis.record_foreign_command("soaked")
 
     def _limit_switch(self) -> None:
         self.drive.limit_switch = 0.0 if self.drive.limit_switch else self.random.choice((-1.0, 1.0))

@@ -158,7 +158,7 @@ class ServiceSoak:
         random, axis = self.random, world.axis
         client = _CLIENTS[0] if random.random() < 0.8 else random.choice(_CLIENTS)
         if random.random() < 0.02:
-            world.requests.leave(client)
+            world.requests.disconnect(client)
             return
         if axis.trip is not None:
             if self.watch.active and axis.state is State.TRIPPED and random.random() < 0.6:

@@ -23,7 +23,7 @@ class Kind(Protocol):
     def problems(self, name: str, value: object) -> Sequence[str]:
         """Return what is wrong with a value of the field of this name; as a rule nothing."""
 
-    def taken(self, value: Any) -> Any:
+    def validated(self, value: Any) -> Any:
         """Return a value without problems in the type that the program uses."""
 
     def schema(self) -> JsonObject:
@@ -44,7 +44,7 @@ class Text(Plain):
             return [f"{name}: should have at most {self.longest} characters, and has {len(value)}"]
         return ()
 
-    def taken(self, value: str) -> str:
+    def validated(self, value: str) -> str:
         """Return the value."""
         return value
 
@@ -62,7 +62,7 @@ class Flag(Plain):
         """Return what is wrong with a value."""
         return () if isinstance(value, bool) else [f"{name}: should be true or false"]
 
-    def taken(self, value: bool) -> bool:
+    def validated(self, value: bool) -> bool:
         """Return the value."""
         return value
 
@@ -107,7 +107,7 @@ class Number(Plain):
             return ()
         return [f"{name}: should be {said}"]
 
-    def taken(self, value: float) -> float:
+    def validated(self, value: float) -> float:
         """Return the value as an int, if it is whole, or a float."""
         return value if self.whole else float(value)
 
@@ -146,7 +146,7 @@ class NumbersByName(Plain):
             if isinstance(one, bool) or not isinstance(one, int | float) or not low <= one <= high
         ]
 
-    def taken(self, value: Mapping[str, float]) -> dict[str, float]:
+    def validated(self, value: Mapping[str, float]) -> dict[str, float]:
         """Return the values as floats."""
         return {name: float(one) for name, one in value.items()}
 

@@ -57,15 +57,15 @@ class _Request(Plain):
 
     def __init__(self, **values: Any) -> None:
         super().__init__(**values)
-        taken, problems = self.__dict__, list[str]()
+        fields, problems = self.__dict__, list[str]()
         for name, kind in self.kinds.items():
-            value = taken[name]
+            value = fields[name]
             if value is None:
                 continue
             if found := kind.problems(name, value):
                 problems += found
             else:
-                taken[name] = kind.taken(value)
+                fields[name] = kind.validated(value)
         problems = problems or self._contradictions()
         if problems:
             raise BadRequestError("; ".join(problems[:MOST_PROBLEMS]))

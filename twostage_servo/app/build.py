@@ -267,7 +267,7 @@ def traits_of(axis_loops: Sequence[AxisLoop]) -> dict[str, DriveTraits]:
     return {axis_loop.name: axis_loop.drive.traits for axis_loop in axis_loops}
 
 
-def put_axes_in(parts: Parts, axes: Sequence[Axis]) -> None:
+def replace_axes(parts: Parts, axes: Sequence[Axis]) -> None:
     """Put axes in the place of a disarmed service's own, in whose order they are; they know what those knew."""
     for axis_loop, axis in zip(parts.axis_loops, axes, strict=True):
         axis_loop.replace_axis(axis)

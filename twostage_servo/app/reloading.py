@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import structlog
 
 from twostage_servo.app.axes_preparation import Job, Prepared
-from twostage_servo.app.build import Parts, put_axes_in, traits_of
+from twostage_servo.app.build import Parts, replace_axes, traits_of
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.service.background_server import Priority
 from twostage_servo.worker_thread import WorkerThread
@@ -80,10 +80,10 @@ class Reloading:
         for packed in prepared.axes:
             async with self._parts.background.slot(Priority.REQUEST):
                 axes.append(pickle.loads(packed))  # noqa: S301 - from the process that was started here
-        return lambda: self._put_in_force(prepared, axes)
+        return lambda: self._apply(prepared, axes)
 
-    def _put_in_force(self, prepared: Prepared, axes: "list[Axis]") -> None:
-        put_axes_in(self._parts, axes)
+    def _apply(self, prepared: Prepared, axes: "list[Axis]") -> None:
+        replace_axes(self._parts, axes)
         self._job = self._job._replace(running=prepared.machine)
         structlog.get_logger().info("configuration read again", config=prepared.source)
 

@@ -68,7 +68,7 @@ class Admission:
         if next_state(state, event) is not None:
             return
         if trip is not None:
-            raise Refused(RefusalCode.TRIPPED, f"{say_tripped(trip)} {trip.next_action}")
+            raise Refused(RefusalCode.TRIPPED, f"{tripped_text(trip)} {trip.next_action}")
         if state is State.DISARMED and event in {Event.STOP, Event.QUICK_STOP}:
             raise Refused(
                 RefusalCode.DISARMED,
@@ -143,7 +143,7 @@ class Admission:
             )
 
 
-def say_tripped(trip: Trip) -> str:
+def tripped_text(trip: Trip) -> str:
     """Return the sentence that an operator is refused with after a trip."""
     return f"the axis has tripped ({trip.code}): {trip.cause.rstrip('.')}."
 

@@ -115,7 +115,7 @@ class Arming:
         self._machine.apply(Event.ARM)
 
     def step(self) -> None:
-        """Look at a tick of waiting."""
+        """Check a tick of waiting."""
         self._ticks += 1
         ready = self._drive.enabled is not False and self._drive.fresh and self._ticks > 1
         if ready and self._motion.knows_speed:

@@ -68,7 +68,7 @@ class Axis:
         Smallest speed that a set-point is taken with, in axis unit/s.
     begin_tick, step
         As :meth:`.AxisTick.begin` and :meth:`.AxisTick.step`.
-    take_feedback, take_heartbeat, take_foreign_command
+    accept_feedback, record_heartbeat, record_foreign_command
         As in :class:`.DriveWatch`.
     raise_trip, end_braking
         As :meth:`.TripLatch.raise_trip` and :meth:`.DrivenStep.end_braking`.
@@ -115,23 +115,23 @@ class Axis:
         # What it is told, tick by tick.
         tick = AxisTick(design, machine, drive, motion, watch, arming, obstacles, jog, operation, driven, latch)
         self.begin_tick, self.step = tick.begin, tick.step
-        self.take_feedback, self.take_heartbeat = watch.take_feedback, watch.take_heartbeat
-        self.take_foreign_command = watch.take_foreign_command
+        self.accept_feedback, self.record_heartbeat = watch.accept_feedback, watch.record_heartbeat
+        self.record_foreign_command = watch.record_foreign_command
         self.raise_trip, self.end_braking = latch.raise_trip, driven.end_braking
         # What it tells, as long as it lives.
         self.estimate: Estimate = motion.law.observer
         self.nominal: Estimate = motion.nominal.observer
 
-    def take_over(self, former: "Axis") -> None:
-        """Know what a former axis on the same drive knew of it; both are disarmed, only the settings have changed.
+    def continue_from(self, former: "Axis") -> None:
+        """Continue from a former axis on the same drive; both are disarmed, only the settings have changed.
 
         A lost reference stays lost, and one that was found by other rules ([axis.homing]) has to be found again, as has
         one that is required now.
         """
-        self.drive.take_over(former.drive)
-        self.disabled.take_over(former.disabled)
-        self.count.take_over(former.count)
-        self.reference.take_over(former.reference)
+        self.drive.continue_from(former.drive)
+        self.disabled.continue_from(former.disabled)
+        self.count.continue_from(former.count)
+        self.reference.continue_from(former.reference)
         is_wanted = self.settings.homing.required or self.reference.is_homed
         if is_wanted and self.settings.homing != former.settings.homing:
             self.reference.lose("[axis.homing] has changed")

@@ -36,7 +36,7 @@ class BrakingEstimate:
         self._standing = 0.0
         self._velocity, self._disturbance, self._effort = observer.velocity, observer.disturbance, effort
 
-    def note(self, observer: DisturbanceObserver, effort: float, *, corrected: bool, sure: bool) -> None:
+    def update(self, observer: DisturbanceObserver, effort: float, *, corrected: bool, sure: bool) -> None:
         """Account for a tick.
 
         Parameters

@@ -60,10 +60,10 @@ class CountWatch:
         self._range_s = design.coasting_s  # for how long it may go on at that speed without being seen
         self.awaits_proof = False
 
-    def look(
+    def update(
         self, missed: int, position: float | None, speed: float, *, driven: bool, homed: bool, counts_boots: bool
     ) -> str | None:
-        """Look at a tick.
+        """Check a tick.
 
         Parameters
         ----------
@@ -87,11 +87,11 @@ class CountWatch:
         """
         self._ticks += 1 + missed
         self._silent_ticks += 1 + missed
-        reason = self._look_at_silence(homed=homed, counts_boots=counts_boots)
+        reason = self._check_silence(homed=homed, counts_boots=counts_boots)
         if position is None:
             return reason
         self._longest_silence = max(self._longest_silence, self._silent_ticks)
-        reason = self._look_at_count(position, homed=homed) or reason
+        reason = self._check_count(position, homed=homed) or reason
         if not self._beyond:
             self._believe(position, speed, driven=driven)
         self._silent_ticks = 0
@@ -103,8 +103,8 @@ class CountWatch:
         self._beyond = 0
         self.awaits_proof = False
 
-    def take_proof(self) -> None:
-        """Take a heartbeat of a drive that has not booted since the one before; in a silence it proves nothing yet."""
+    def confirm_count(self) -> None:
+        """Accept an unchanged boot count as proof that the drive still counts; in a silence it proves nothing yet."""
         if self._silent_ticks == 0:
             self.awaits_proof = False
 
@@ -113,14 +113,14 @@ class CountWatch:
         if self._place is not None:
             self._place += distance
 
-    def take_over(self, former: "CountWatch") -> None:
-        """Know what a former one on the same encoder knew."""
+    def continue_from(self, former: "CountWatch") -> None:
+        """Continue from the state of a former one on the same encoder."""
         for name in (
             "_beyond", "_longest_silence", "_place", "_range_s", "_silent_ticks", "_speed", "_ticks", "awaits_proof",
         ):  # fmt: skip
             setattr(self, name, getattr(former, name))
 
-    def _look_at_silence(self, *, homed: bool, counts_boots: bool) -> str | None:
+    def _check_silence(self, *, homed: bool, counts_boots: bool) -> str | None:
         if self._place is None or self._silent_ticks <= self._long_silence or not homed or self.awaits_proof:
             return None
         if counts_boots:
@@ -132,7 +132,7 @@ class CountWatch:
             "has no boot counter that would prove that it was not switched off meanwhile and counts anew"
         )
 
-    def _look_at_count(self, position: float, *, homed: bool) -> str | None:
+    def _check_count(self, position: float, *, homed: bool) -> str | None:
         if self._place is None:
             return None
         moved = self._distance(self._place, position)

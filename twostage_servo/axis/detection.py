@@ -161,7 +161,7 @@ class _Run:
         """Go on by a tick; return whether the axis has noticed that its encoder is not to be trusted."""
         motion = self._motion
         self._drive.begin_tick(0)
-        self._drive.take(Feedback(self._sample))
+        self._drive.accept_feedback(Feedback(self._sample))
         motion.begin_tick(0)
         effort = motion.step()
         found = any(RULES[code].unreferenced for code, _ in self._supervision.violations(self._state, referenced=False))

@@ -64,8 +64,8 @@ class MotionWhileDisabled:
         self._settled = False
         self.moved = None
 
-    def look(self, missed: int, position: float | None) -> None:
-        """Look at a tick, before which so many were missed, and at its sample in axis unit, None if there is none."""
+    def update(self, missed: int, position: float | None) -> None:
+        """Check a tick, before which so many were missed, with its sample in axis unit, None if there is none."""
         self._ticks += 1 + missed
         self._ticks_since_last += 1 + missed
         if position is None:
@@ -93,8 +93,8 @@ class MotionWhileDisabled:
         if self._anchor is not None:
             self._anchor += distance
 
-    def take_over(self, former: "MotionWhileDisabled") -> None:
-        """Know what a former one on the same axis knew."""
+    def continue_from(self, former: "MotionWhileDisabled") -> None:
+        """Continue from the state of a former one on the same axis."""
         for name in (
             "_anchor", "_beyond", "_last", "_samples", "_settled", "_speed", "_ticks", "_ticks_since_last", "moved",
         ):  # fmt: skip
@@ -168,8 +168,8 @@ class DisabledDriveWatch:
             self._ticks_enabled = self._ticks_disabled = 0
             self.motion.begin(0.0)
 
-    def look(self, missed: int, report: bool | None, position: float | None, velocity: float) -> None:
-        """Look at a tick in which the drive is told to be disabled.
+    def update(self, missed: int, report: bool | None, position: float | None, velocity: float) -> None:
+        """Check a tick in which the drive is told to be disabled.
 
         Parameters
         ----------
@@ -188,18 +188,18 @@ class DisabledDriveWatch:
             self.motion.begin(velocity)
         else:
             self._ticks_told += 1 + missed
-            self._take_report(missed, report)
-        self.motion.look(missed, position)
+            self._record_report(missed, report)
+        self.motion.update(missed, position)
 
-    def take_over(self, former: "DisabledDriveWatch") -> None:
-        """Know what a former watch on the same drive knew: the settings may have changed, the drive has not."""
+    def continue_from(self, former: "DisabledDriveWatch") -> None:
+        """Continue from a former watch on the same drive: the settings may have changed, the drive has not."""
         for name in (
             "_reported", "_ticks_disabled", "_ticks_enabled", "_ticks_silent", "_ticks_since_report", "_ticks_told",
         ):  # fmt: skip
             setattr(self, name, getattr(former, name))
-        self.motion.take_over(former.motion)
+        self.motion.continue_from(former.motion)
 
-    def _take_report(self, missed: int, report: bool | None) -> None:
+    def _record_report(self, missed: int, report: bool | None) -> None:
         self._ticks_since_report += 1  # a tick that was missed told the drive nothing
         if report is None:
             self._ticks_silent += 1 + missed

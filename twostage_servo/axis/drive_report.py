@@ -103,8 +103,8 @@ class DriveReport:
 
     # What comes from the drive ---------------------------------------------------------------------------------------
 
-    def take(self, feedback: Feedback, reception: Reception = IN_TIME, *, driven: bool = True) -> bool:
-        """Take one frame's feedback, if it is new; a fault, drop-out or input of an earlier frame of the tick stays.
+    def accept_feedback(self, feedback: Feedback, reception: Reception = IN_TIME, *, driven: bool = True) -> bool:
+        """Record a frame's feedback, if it is new; a fault, drop-out or input of an earlier frame of the tick stays.
 
         A command time-out of the drive is a fault only while the axis is driven: elsewhere no command is needed.
 
@@ -116,24 +116,24 @@ class DriveReport:
         """
         if not math.isfinite(feedback.position):
             self.monitor.reject()
-            self._take_state(feedback, reception.late, driven)  # a drive that has lost its encoder may say why
+            self._record_state(feedback, reception.late, driven)  # a drive that has lost its encoder may say why
             return True
         age_s, unasked, late = reception
         if not self.monitor.accept(feedback.counter, late=late):
             return True
         if late:
-            self._take_state(feedback, late, driven)
+            self._record_state(feedback, late, driven)
             return True
         self.backlog = None
         again = self.fresh
         self.fresh = True
-        position, sure = self.encoder.see(feedback.position)
+        position, sure = self.encoder.unwrap(feedback.position)
         if not (again and unasked):
             self.position, self.age_s = position, age_s
-        self._take_state(feedback, late, driven)
+        self._record_state(feedback, late, driven)
         return sure
 
-    def _take_state(self, feedback: Feedback, late: bool, driven: bool) -> None:
+    def _record_state(self, feedback: Feedback, late: bool, driven: bool) -> None:
         again, self.told_state = self.told_state, True
         self.told_present_state = self.told_present_state or not late
         code, timed_out = feedback.fault_code, feedback.command_timeout
@@ -150,23 +150,25 @@ class DriveReport:
         self.negative_limit = (again and self.negative_limit) or feedback.negative_limit
         self.home_switch = (again and self.home_switch) or feedback.home_switch
 
-    def take_index(self, position: float) -> None:
-        """Take the position that the encoder counted at its index mark, in axis unit."""
+    def record_index(self, position: float) -> None:
+        """Record the position that the encoder counted at its index mark, in axis unit."""
         if math.isfinite(position):
             self.index = self.encoder.position(position)
 
-    def notice_backlog(self, reads: int, frames: int) -> None:
+    def record_backlog(self, reads: int, frames: int) -> None:
         """Remember how many reads of the bus in a row came behind one that ended at its bound of so many frames."""
         self.backlog = reads, frames
 
-    def take_heartbeat(self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False) -> bool:
-        """Take a heartbeat with what its state claims; return whether the drive has booted since the last one.
+    def record_heartbeat(
+        self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False
+    ) -> bool:
+        """Record a heartbeat with what its state claims; return whether the drive has booted since the last one.
 
         A late one is no sign of life, and says nothing of the present state.
         """
         if not late:
-            self.states.take(state)
-        return self.heartbeat.take(boot_counter, late=late)
+            self.states.record(state)
+        return self.heartbeat.record(boot_counter, late=late)
 
     def forget(self) -> None:
         """Start afresh, as after the bus was lost; wraps are counted on from where the axis was last seen."""
@@ -177,18 +179,18 @@ class DriveReport:
         self.heartbeat.forget()
         self.states.forget()
 
-    def take_over(self, former: "DriveReport") -> None:
-        """Know what a former report of the same drive knew: settings may change, the drive and its place do not."""
+    def continue_from(self, former: "DriveReport") -> None:
+        """Continue from a former report of the same drive: settings may change, the drive and its place do not."""
         self.monitor = former.monitor
-        self.encoder.take_over(former.encoder)
-        self.heartbeat.take_over(former.heartbeat)
+        self.encoder.continue_from(former.encoder)
+        self.heartbeat.continue_from(former.heartbeat)
         self.backlog = former.backlog
         self.position, self.age_s, self.index = former.position, former.age_s, former.index
         self.enabled, self.fault_code, self.faulted = former.enabled, former.fault_code, former.faulted
         self.safe_torque_off, self.home_switch = former.safe_torque_off, former.home_switch
         self.positive_limit, self.negative_limit = former.positive_limit, former.negative_limit
-        self.states.take_over(former.states)
-        self.foreign.take_over(former.foreign)
+        self.states.continue_from(former.states)
+        self.foreign.continue_from(former.foreign)
 
     def forget_index(self) -> None:
         """Wait for the index mark anew."""
@@ -202,7 +204,7 @@ class DriveReport:
 
     def compare_states(self, missed: int, *, told_enabled: bool) -> None:
         """Compare heartbeat and feedback, once a tick, before which so many were missed."""
-        self.states.look(
+        self.states.compare(
             missed, self.enabled, self.faulted, has_reported=self.told_present_state, told_enabled=told_enabled
         )
 
@@ -248,7 +250,7 @@ class DriveReport:
         if self.safe_torque_off:
             yield TripCode.SAFE_TORQUE_OFF, "the drive reports that its safe torque off has been asked for"
         if self.fault_code is not None:
-            yield TripCode.DRIVE_FAULT, f"the drive reports {self._say_fault()}"
+            yield TripCode.DRIVE_FAULT, f"the drive reports {self._fault_text()}"
         if self.enabled is False and not arming:
             yield TripCode.DRIVE_DROPPED_OUT, "the drive reports that it is no longer enabled"
         if loss := self.heartbeat.loss:
@@ -293,7 +295,7 @@ class DriveReport:
         trouble = next(self.troubles(arming=True), None)
         return None if trouble is None else (RefusalCode(trouble[0]), f"{trouble[1]}: remove its cause first.")
 
-    def _say_fault(self) -> str:
+    def _fault_text(self) -> str:
         code = self.fault_code
         text = None if code is None else self._fault_texts.get(code)
         return f"fault code {code}" + (f" ({text})" if text else "")

@@ -90,8 +90,8 @@ class DriveStateComparison:
         """Open a tick, in which no heartbeat has come yet."""
         self.new = None
 
-    def take(self, state: DriveState | None) -> None:
-        """Take the state of a heartbeat; the newest of a tick counts."""
+    def record(self, state: DriveState | None) -> None:
+        """Record the state of a heartbeat; the newest of a tick counts."""
         self.state = self.new = state
 
     def forget(self) -> None:
@@ -100,12 +100,12 @@ class DriveStateComparison:
         self._heard = self._first_ticks_ago = self._ticks_since_change = 0
         self._report_since_heartbeat = False
 
-    def take_over(self, former: "DriveStateComparison") -> None:
-        """Know what a former comparison of the same drive knew."""
+    def continue_from(self, former: "DriveStateComparison") -> None:
+        """Continue from the state of a former comparison of the same drive."""
         for name in _KNOWLEDGE:
             setattr(self, name, getattr(former, name))
 
-    def look(
+    def compare(
         self, missed: int, enabled: bool | None, faulted: bool | None, *, has_reported: bool, told_enabled: bool
     ) -> None:
         """Compare, once a tick.

@@ -60,25 +60,27 @@ class DriveWatch:
         """Open a tick, before which so many were missed."""
         self._missed = missed
 
-    def take_feedback(self, feedback: Feedback, reception: Reception = IN_TIME) -> None:
-        """Take one decoded feedback frame; the newest of a tick counts."""
-        if not self._drive.take(feedback, reception, driven=self._machine.state in DRIVEN):
+    def accept_feedback(self, feedback: Feedback, reception: Reception = IN_TIME) -> None:
+        """Accept one decoded feedback frame; the newest of a tick counts."""
+        if not self._drive.accept_feedback(feedback, reception, driven=self._machine.state in DRIVEN):
             self._reference.lose(
                 "the axis was not seen for so long that it may have gone half of the range in which its encoder counts"
             )
 
-    def take_heartbeat(self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False) -> None:
-        """Take a heartbeat with its count of the drive's boots; a drive that has rebooted has lost its position."""
-        if self._drive.take_heartbeat(boot_counter, state, late=late):
+    def record_heartbeat(
+        self, boot_counter: int | None, state: DriveState | None = None, *, late: bool = False
+    ) -> None:
+        """Record a heartbeat with its count of the drive's boots; a drive that has rebooted has lost its position."""
+        if self._drive.record_heartbeat(boot_counter, state, late=late):
             self._reference.lose("the drive has rebooted, and its encoder starts to count anew")
             self._count.restart()
             self._disabled.motion.begin(0.0)
             self._latch.raise_trip(TripCode.DRIVE_REBOOTED, "the drive has rebooted while it was enabled")
         elif boot_counter is not None and not late:
-            self._count.take_proof()
+            self._count.confirm_count()
 
-    def take_foreign_command(self, frame: str, *, enables: bool | None = None) -> None:
-        """Take a command to this axis' drive that is not its own; two masters can't hold one axis.
+    def record_foreign_command(self, frame: str, *, enables: bool | None = None) -> None:
+        """Record a command to this axis' drive that is not its own; two masters can't hold one axis.
 
         It trips an enabled axis. One that is disabled is told of it for as long as it lasts, and trips as soon as the
         drive may be enabled by it.
@@ -90,9 +92,9 @@ class DriveWatch:
         enables
             Whether it enables the drive; None where that cannot be read from it.
         """
-        self._drive.foreign.take(frame, enables=enables)
+        self._drive.foreign.record(frame, enables=enables)
         if self._machine.state in ENABLED:
-            self._latch.raise_trip(TripCode.FOREIGN_COMMAND, self._hazards.say_foreign())
+            self._latch.raise_trip(TripCode.FOREIGN_COMMAND, self._hazards.foreign_text())
 
     def look_for_troubles(self) -> None:
         """Trip by what the drive reports while it is told to be enabled."""
@@ -101,7 +103,7 @@ class DriveWatch:
             for code, cause in self._drive.troubles(arming=state is State.ARMING):
                 self._latch.raise_trip(code, cause)
 
-    def look_at_obedience(self, *, told_enabled: bool) -> None:
+    def check_obedience(self, *, told_enabled: bool) -> None:
         """Trip by what must not last, whether the axis is enabled or not."""
         drive, latch = self._drive, self._latch
         drive.compare_states(self._missed, told_enabled=told_enabled)
@@ -109,18 +111,18 @@ class DriveWatch:
             self._disabled.release(drive.enabled_report)
         else:
             position = drive.position if drive.fresh else None
-            self._disabled.look(self._missed, drive.enabled_report, position, self._motion.law.observer.velocity)
+            self._disabled.update(self._missed, drive.enabled_report, position, self._motion.law.observer.velocity)
         for trip in self._hazards.present(latch.tick):
             if trip.code not in latch.trips:
                 latch.raise_trip(trip.code, trip.cause)
 
-    def look_at_count(self) -> None:
+    def check_count(self) -> None:
         """Lose the reference if the encoder may not count on from where it was, and trip if the axis moves by it."""
         state, law = self._machine.state, self._motion.law
         speed = abs(law.observer.velocity)
         if state in COMMANDED:
             speed = max(speed, abs(law.cruise_velocity))
-        reason = self._count.look(
+        reason = self._count.update(
             self._missed,
             self._drive.position if self._drive.fresh else None,
             speed,

@@ -57,12 +57,12 @@ class ForeignCommands:
         if latest.ticks_since is not None:
             latest.ticks_since += 1 + missed
 
-    def take(self, frame: str, *, enables: bool | None) -> None:
-        """Take one; see :class:`Latest`."""
+    def record(self, frame: str, *, enables: bool | None) -> None:
+        """Record one; see :class:`Latest`."""
         self.latest = Latest(frame, enables, self.latest.frames + 1 if self.lasts else 1, 0)
 
-    def take_over(self, former: "ForeignCommands") -> None:
-        """Know what a former one of the same drive knew."""
+    def continue_from(self, former: "ForeignCommands") -> None:
+        """Continue from the state of a former one of the same drive."""
         self.latest = former.latest
 
     @property

@@ -41,21 +41,21 @@ class Hazards:
         """
         found = []
         if self._disabled.not_disabled:
-            found.append(Trip(TripCode.DRIVE_NOT_DISABLED, self._say_not_disabled(), tick))
+            found.append(Trip(TripCode.DRIVE_NOT_DISABLED, self._not_disabled_text(), tick))
         if contradiction := self._drive.states.contradiction:
             found.append(Trip(TripCode.DRIVE_STATE_MISMATCH, contradiction, tick))
         if self._obeys_another:
-            found.append(Trip(TripCode.FOREIGN_COMMAND, self.say_foreign(), tick))
+            found.append(Trip(TripCode.FOREIGN_COMMAND, self.foreign_text(), tick))
         return tuple(found)
 
     def lasting(self, tick: int) -> tuple[Trip, ...]:
         """Return all that is wrong: somebody else's commands also to a drive that is seen to be disabled."""
         found = self.present(tick)
         if self._drive.foreign.lasts and all(one.code is not TripCode.FOREIGN_COMMAND for one in found):
-            found = (*found, Trip(TripCode.FOREIGN_COMMAND, self.say_foreign(), tick))
+            found = (*found, Trip(TripCode.FOREIGN_COMMAND, self.foreign_text(), tick))
         return found
 
-    def say_foreign(self) -> str:
+    def foreign_text(self) -> str:
         """Return the sentence that tells of somebody else's commands."""
         return f"another node on the bus commands this drive: {self._drive.foreign}"
 
@@ -68,7 +68,7 @@ class Hazards:
         # One whose feedback does not tell is taken at what it has been told.
         return self._disabled.seen_enabled or (self._drive.enabled is None and foreign.latest.enables is not False)
 
-    def _say_not_disabled(self) -> str:
+    def _not_disabled_text(self) -> str:
         watch, unit = self._disabled, self._settings.unit
         moved = "" if watch.moved is None else f"; the axis has moved by {watch.moved:+.4g} {unit} meanwhile"
         foreign = self._drive.foreign

@@ -59,8 +59,8 @@ class Heartbeat:
         """Open a tick, before which so many were missed."""
         self.state.ticks_since += 1 + missed
 
-    def take(self, boot_counter: int | None, *, late: bool) -> bool:
-        """Take one; return whether the drive has booted since the last. A late one is no sign of life."""
+    def record(self, boot_counter: int | None, *, late: bool) -> bool:
+        """Record one; return whether the drive has booted since the last. A late one is no sign of life."""
         state = self.state
         if not late:
             state.ticks_since, state.is_heard = 0, True
@@ -69,7 +69,7 @@ class Heartbeat:
         state.boots += rebooted
         return rebooted
 
-    def take_over(self, former: "Heartbeat") -> None:
+    def continue_from(self, former: "Heartbeat") -> None:
         """Know what a former one of the same drive knew."""
         self.state = former.state
 

@@ -95,7 +95,7 @@ class Homing:
         self._motion.law.limit_effort(self._effort_limit)
 
     def step(self) -> None:
-        """Look at this tick.
+        """Check this tick.
 
         Raises
         ------

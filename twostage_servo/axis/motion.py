@@ -157,7 +157,7 @@ class Motion:
         for _ in range(periods):
             self._gap.miss(law.observer, law.effort)
             law.skip(1)
-            self._date.note_missed()
+            self._date.record_missed()
             self.model_monitor.predict(law.effort)
         self.nominal.skip(periods)
 
@@ -171,7 +171,7 @@ class Motion:
         if sample is not None and lag:
             self._gap.reopen(lag, self.law.observer, before)
         elif sample is not None:
-            self._gap.take()
+            self._gap.accept()
         self._effort = self.law.step(sample)
         self.nominal.step(None)
         if sample is None:
@@ -191,9 +191,9 @@ class Motion:
             self.model_monitor.update(shown, before, self.law.observer, self._speed_of_late, self._date.lag_s)
         if sample is not None:
             self._compare_with_the_last()
-        self._note_load()
+        self._record_load()
         corrected = sample is not None and not lag
-        self._braking.note(
+        self._braking.update(
             self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_monitor.is_sure
         )
         return self._effort
@@ -215,7 +215,7 @@ class Motion:
         """Whether the latest sample is not where the model expects it, and may be a spike."""
         return self._tracking.was_outlier or self.implausible > 0
 
-    def go_blind(self) -> None:
+    def ignore_feedback(self) -> None:
         """Believe no feedback from here on: the model alone brings the axis to rest."""
         self._braking.apply(self.law.observer, in_doubt=self.implausible > 0)
         self.blind = True
@@ -228,8 +228,8 @@ class Motion:
         """
         factor = 0.0 if self._stands else self.model_monitor.better_factor or 0.0
         reckoning = self.model_monitor.reckon(factor)
-        self.go_blind()
-        self.law.go_on_at(reckoning.velocity, reckoning.disturbance)  # also where a stop has begun by the former one
+        self.ignore_feedback()
+        self.law.resume_at(reckoning.velocity, reckoning.disturbance)  # also where a stop has begun by the former one
 
     @property
     def moves_after_all(self) -> bool:
@@ -268,10 +268,10 @@ class Motion:
     def _gate(self, velocity: float) -> float:
         return self._limits.innovation_gate + 1e-3 * self._limits.innovation_time_ms * abs(velocity)
 
-    def _note_load(self) -> None:
+    def _record_load(self) -> None:
         observer, stage = self.law.observer, self.law.stage
         if stage is Stage.POSITION:
-            self._load.note(observer)
+            self._load.update(observer)
         elif self._stands and stage is Stage.BRAKE and not self.blind:
             # It stands by friction, or its encoder has frozen. What seems to hold it then must not be compensated: the
             # axis would creep on behind an encoder that shows nothing.

@@ -42,7 +42,7 @@ class Reference:
         return self.source is ReferenceSource.HOMED
 
     def find(self) -> None:
-        """Take notice that the place from which positions count is known now."""
+        """Record that the origin of the positions is known now."""
         self.source, self.lost_because = ReferenceSource.HOMED, ""
 
     def lose(self, reason: str) -> None:
@@ -50,6 +50,6 @@ class Reference:
         if self.source is not None:
             self.source, self.lost_because = None, reason
 
-    def take_over(self, former: "Reference") -> None:
-        """Know what a former one of the same axis knew."""
+    def continue_from(self, former: "Reference") -> None:
+        """Continue from the state of a former one of the same axis."""
         self.source, self.lost_because = former.source, former.lost_because

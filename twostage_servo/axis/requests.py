@@ -2,7 +2,7 @@
 
 import math
 
-from twostage_servo.axis.admission import Admission, say_tripped
+from twostage_servo.axis.admission import Admission, tripped_text
 from twostage_servo.axis.arming import Arming, Obstacles
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
@@ -100,7 +100,7 @@ class Requests:
             outside its position limits.
         """
         if (trip := self.present_trip) is not None:
-            raise Refused(RefusalCode.TRIPPED, f"{say_tripped(trip)} `reset` first.")
+            raise Refused(RefusalCode.TRIPPED, f"{tripped_text(trip)} `reset` first.")
         if self._machine.state is not State.DISARMED:
             raise Refused(RefusalCode.ALREADY_ARMED, f"the axis is armed already ({self._machine.state}).")
         if obstacle := self._obstacles.first():

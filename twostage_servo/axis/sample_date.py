@@ -45,7 +45,7 @@ class SampleDate:
         """Remember the estimate before ticks that were missed."""
         self._path = [self._observer.position]
 
-    def note_missed(self) -> None:
+    def record_missed(self) -> None:
         """Remember the estimate after one of them."""
         self._path.append(self._observer.position)
 

@@ -77,7 +77,7 @@ class SampleGap:
             self._error.predict(0.0)
             self.allowance = abs(self._error.position)
 
-    def take(self) -> None:
+    def accept(self) -> None:
         """Account for a sample that the observer has taken."""
         if not self._open:
             return

@@ -50,7 +50,7 @@ class StandingLoad:
         """Begin afresh, without a load."""
         self.load = 0.0  # in effort unit
 
-    def note(self, observer: DisturbanceObserver) -> None:
+    def update(self, observer: DisturbanceObserver) -> None:
         """Account for a tick under position control: what friction does not explain at the present speed is load."""
         disturbance = observer.disturbance
         rest = disturbance - self.load - self._likeliest(observer.velocity, disturbance) * observer.velocity

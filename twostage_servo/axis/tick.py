@@ -90,14 +90,14 @@ class AxisTick:
     def step(self) -> Command:
         """Close the tick: run the law, hold the limits, and return what goes to the drive."""
         command = self._decide()
-        self._watch.look_at_count()
+        self._watch.check_count()
         return command
 
     def _decide(self) -> Command:
         machine, watch = self._machine, self._watch
         was_driven, was_enabled = machine.state in DRIVEN, machine.state in ENABLED
         watch.look_for_troubles()
-        watch.look_at_obedience(told_enabled=was_enabled)
+        watch.check_obedience(told_enabled=was_enabled)
         if machine.state not in DRIVEN:
             self._motion.track()
         if machine.state is State.ARMING:

@@ -78,7 +78,7 @@ class TripLatch:
         if doubted:
             self._motion.distrust()
         elif rule.blind and not self._motion.blind:
-            self._motion.go_blind()
+            self._motion.ignore_feedback()
         if rule.unreferenced:
             self._reference.lose(f"{code}: {rule.position_in_doubt}")
         if self.trip is None:

@@ -60,8 +60,8 @@ class Unwrapping:
             self.state.near = expected
         self.state.ticks_unseen += 1 + missed
 
-    def see(self, counted: float) -> tuple[float, bool]:
-        """Take what the encoder counts in a fresh sample, in axis unit.
+    def unwrap(self, counted: float) -> tuple[float, bool]:
+        """Unwrap what the encoder counts in a fresh sample, in axis unit.
 
         Returns
         -------
@@ -89,7 +89,7 @@ class Unwrapping:
         distance, period = now - before, self._period
         return distance - period * round(distance / period) if period else distance
 
-    def take_over(self, former: "Unwrapping") -> None:
+    def continue_from(self, former: "Unwrapping") -> None:
         """Know what a former one of the same drive knew."""
         self.state = former.state
 

@@ -184,7 +184,7 @@ class AsyncServoClient:
         try:
             async with contextlib.aclosing(connection.snapshots(watch)) as snapshots:
                 async for status in snapshots:
-                    self._authority.see(status)
+                    self._authority.record_holder(status)
                     yield status
         finally:
             connection.close()
@@ -310,7 +310,7 @@ class AsyncServoClient:
 
     def _read(self, request: Request, answer: JsonObject) -> Status:
         status = status_in(answer, self._connection.path)
-        self._authority.after(request, status)
+        self._authority.record_answer(request, status)
         return status
 
     async def _run(self, verb: Verb[T]) -> T:
@@ -331,7 +331,7 @@ class AsyncServoClient:
     async def _carry_out(self, step: Step) -> object:
         match step:
             case Ask(request, patience_s):
-                self._authority.before(request)
+                self._authority.record_request(request)
                 return await self._connection.ask(request, patience_s)
             case Until(watch, condition):
                 async with contextlib.aclosing(self._snapshots(watch)) as snapshots:

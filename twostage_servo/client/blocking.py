@@ -121,7 +121,7 @@ class ServoClient:
         connection = Connection(self._connection.path, self._timeout_s)
         try:
             for status in connection.snapshots(watch):
-                self._authority.see(status)
+                self._authority.record_holder(status)
                 yield status
         finally:
             connection.close()
@@ -247,7 +247,7 @@ class ServoClient:
 
     def _read(self, request: Request, answer: JsonObject) -> Status:
         status = status_in(answer, self._connection.path)
-        self._authority.after(request, status)
+        self._authority.record_answer(request, status)
         return status
 
     def _run(self, verb: Verb[T]) -> T:
@@ -268,7 +268,7 @@ class ServoClient:
     def _carry_out(self, step: Step) -> object:
         match step:
             case Ask(request, patience_s):
-                self._authority.before(request)
+                self._authority.record_request(request)
                 return self._connection.ask(request, patience_s)
             case Until(watch, condition):
                 with contextlib.closing(self._snapshots(watch)) as snapshots:

@@ -96,7 +96,7 @@ class Connection:
                 self._receive()
             yield status_in(checked(kept.popleft()), self.path)
 
-    def taken(self) -> list[JsonObject]:
+    def drain(self) -> list[JsonObject]:
         """Return the snapshots that have come, without waiting.
 
         Raises

@@ -13,7 +13,7 @@ from twostage_servo.client.errors import Reason, Refused, ServoError, Unreachabl
 
 REPEATED: Final = (StopRequest, DisarmRequest)
 """Asked for again where the connection ends without an answer: asked twice they do no more than once."""
-_TAKE_NOTHING: Final = (*READING, StopRequest, DisarmRequest, ReleaseRequest)
+_WITHOUT_AUTHORITY: Final = (*READING, StopRequest, DisarmRequest, ReleaseRequest)
 """Requests by which a client gets no authority."""
 _LONGEST_TICK_S: Final = 0.1
 _EVENT: Final = "event"
@@ -62,9 +62,9 @@ class Protocol:
         *lines, rest = (self._received + data).split(b"\n")
         self._received = bytearray(rest)
         for line in lines:
-            self._take(line)
+            self._read_line(line)
 
-    def _take(self, line: bytes | bytearray) -> None:
+    def _read_line(self, line: bytes | bytearray) -> None:
         try:
             fields = json.loads(line)
         except ValueError as error:
@@ -122,22 +122,22 @@ class Authority:
         """Whether this client commands, by what it has been told last."""
         return self._own is not None and self._own == self._holder
 
-    def before(self, request: Request) -> None:
-        """Take notice of a request that is about to be sent."""
+    def record_request(self, request: Request) -> None:
+        """Record a request that is about to be sent."""
         if not isinstance(request, READING):
             self.asked_for = True
 
-    def after(self, request: Request, status: Status) -> None:
-        """Take notice of the answer to a request that was carried out."""
+    def record_answer(self, request: Request, status: Status) -> None:
+        """Record the answer to a request that was carried out."""
         holder = status.service.authority.holder
-        if not isinstance(request, _TAKE_NOTHING):
+        if not isinstance(request, _WITHOUT_AUTHORITY):
             self._own = holder
         elif isinstance(request, ReleaseRequest):
             self.asked_for = False
-        self.see(status)
+        self.record_holder(status)
 
-    def see(self, status: Status) -> None:
-        """Take notice of who commands."""
+    def record_holder(self, status: Status) -> None:
+        """Record who commands."""
         self._holder = status.service.authority.holder
 
 

@@ -65,13 +65,13 @@ class StartUp:
         self._sent = False
         self.is_done = not self._steps
 
-    def take(self, frame: ReceivedFrame) -> None:
-        """Take a frame of the drive, which may be the answer that is waited for."""
+    def accept(self, frame: ReceivedFrame) -> None:
+        """Accept a frame of the drive, which may be the expected answer."""
         if self.is_done or not self._sent:
             return
         expect = self._steps[self._index].expect
         if expect is not None and expect(frame):
-            self._go_on()
+            self._advance()
 
     def frames(self, missed: int) -> Sequence[SentFrame]:
         """Return what has to be sent in this tick, before which so many were missed."""
@@ -89,10 +89,10 @@ class StartUp:
         self._sent, self._tries = True, self._tries + 1
         self._ticks_left = math.ceil(step.timeout_s / self._period_s)
         if step.expect is None:
-            self._go_on()
+            self._advance()
         return step.send
 
-    def _go_on(self) -> None:
+    def _advance(self) -> None:
         self._index += 1
         self._sent, self._tries = False, 0
         self.is_done = self._index == len(self._steps)

@@ -66,7 +66,7 @@ class Approach:
             bench.operator.unread.clear()
             bench.watch(_untripped(self.has_begun), f"the axis to be {self._phase.value}")
             self._wait_a_little()
-            bench.operator.take()
+            bench.operator.read_snapshots()
             if not self.has_passed(bench.operator.latest):
                 return bench.operator.latest
             bench.watch(_untripped(_holds), "the end of the move")

@@ -84,7 +84,7 @@ class Bench:
             except LinkError as error:
                 raise BenchError(str(error)) from error
             stack.callback(self.listener.close)
-            self._hear = self.listener.take
+            self._hear = self.listener.read_frames
             self.start_service()
             self._stack = stack.pop_all()
         return self
@@ -126,7 +126,7 @@ class Bench:
         end_s = time.monotonic() + LONGEST_S
         while not condition():
             self._check(end_s, what)
-            self.take()
+            self.read_frames()
             time.sleep(_GLANCE_S)
 
     def watch(self, condition: Callable[[Snapshot], bool], what: str) -> Snapshot:
@@ -139,8 +139,8 @@ class Bench:
         """
         end_s = time.monotonic() + LONGEST_S
         while True:
-            alive = self.operator.take()
-            self.take()
+            alive = self.operator.read_snapshots()
+            self.read_frames()
             while self.operator.unread:
                 if condition(snapshot := self.operator.unread.popleft()):
                     return snapshot
@@ -149,8 +149,8 @@ class Bench:
             self._check(end_s, what)
             select.select([self.operator], [], [], _GLANCE_S)
 
-    def take(self) -> None:
-        """Take what the bus has brought."""
+    def read_frames(self) -> None:
+        """Read the frames that have arrived on the bus."""
         try:
             self._hear()
         except LinkError as error:

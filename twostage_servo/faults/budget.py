@@ -131,32 +131,32 @@ class Budget:
 
     # What comes to rest ----------------------------------------------------------------------------------------------
 
-    def noticing_s(self, ticks: float) -> float:
+    def detection_s(self, ticks: float) -> float:
         """Return how long a fault that shows in each sample goes on until `ticks` of them have been seen, in s."""
         return (ticks + _SAMPLE_AGE_TICKS) * self.tick_s
 
-    def coasting(self, noticed_s: float, extra_speed: float = 0.0) -> float:
+    def coasting(self, detected_s: float, extra_speed: float = 0.0) -> float:
         """Return the way unnoticed for a time in s, then without effort: the plant's own friction stops it."""
-        speed = self.reference.peak_speed(noticed_s) + extra_speed
-        return speed * (noticed_s + self._latency_s) + speed / (self._pole * (1.0 - MODEL_ERROR)) + self.unnoticed()
+        speed = self.reference.peak_speed(detected_s) + extra_speed
+        return speed * (detected_s + self._latency_s) + speed / (self._pole * (1.0 - MODEL_ERROR)) + self.unnoticed()
 
-    def stopping(self, noticed_s: float, deceleration: float, extra_speed: float = 0.0) -> float:
+    def stopping(self, detected_s: float, deceleration: float, extra_speed: float = 0.0) -> float:
         """Return the way unnoticed for a time in s, then down a ramp, by so much more as the plant is off its model."""
-        speed = self.reference.peak_speed(noticed_s) + extra_speed
+        speed = self.reference.peak_speed(detected_s) + extra_speed
         ramp = self.design.certain_stopping_distance(speed, deceleration)
-        return speed * (noticed_s + self._latency_s) + ramp + self.unnoticed()
+        return speed * (detected_s + self._latency_s) + ramp + self.unnoticed()
 
-    def quick_stop(self, noticed_s: float, extra_speed: float = 0.0) -> float:
+    def quick_stop(self, detected_s: float, extra_speed: float = 0.0) -> float:
         """Return the same as :meth:`stopping`, with the quick stop deceleration."""
-        return self.stopping(noticed_s, self.limits.quick_stop_deceleration, extra_speed)
+        return self.stopping(detected_s, self.limits.quick_stop_deceleration, extra_speed)
 
     def stale(self) -> float:
         """Return what missing feedback costs: quick stop on the model, after the limit."""
-        return self.quick_stop(self.noticing_s(self.limits.stale_feedback_ms / (1e3 * self.tick_s)))
+        return self.quick_stop(self.detection_s(self.limits.stale_feedback_ms / (1e3 * self.tick_s)))
 
     def implausible(self) -> float:
         """Return what samples beyond the innovation gate cost: quick stop on the model, after two."""
-        return self.quick_stop(self.noticing_s(IMPLAUSIBLE_SAMPLES))
+        return self.quick_stop(self.detection_s(IMPLAUSIBLE_SAMPLES))
 
     def blind_encoder(self) -> float:
         """Return what an encoder costs that stands still while its counter lives.
@@ -174,14 +174,14 @@ class Budget:
             self.design.ticks(self.limits.stall_time_ms),
             self.limits.stall_effort / (f22 * missing),
         )
-        noticed_s = self.noticing_s(ticks + self.design.ticks(self.limits.stall_time_ms))
+        detected_s = self.detection_s(ticks + self.design.ticks(self.limits.stall_time_ms))
         added = self._gain / self._pole * self.limits.stall_effort * (1.0 + MODEL_ERROR)
-        return self.quick_stop(noticed_s, added)
+        return self.quick_stop(detected_s, added)
 
     def wrong_encoder(self) -> float:
         """Return what a reversed sign costs: it is noticed within ten times the innovation gate at that speed."""
         allowed = 10.0 * self.innovation_gate(self.design.settings.cruise_velocity)
-        return allowed + self.quick_stop(self.noticing_s(IMPLAUSIBLE_SAMPLES))
+        return allowed + self.quick_stop(self.detection_s(IMPLAUSIBLE_SAMPLES))
 
     def doubled_scale(self) -> float:
         """Return what an encoder costs that counts twice: the axis goes half as far as it seems until it is noticed."""
@@ -194,8 +194,8 @@ class Budget:
         as fast.
         """
         allowed = 2.0 * 10.0 * self.innovation_gate(self.design.settings.cruise_velocity)
-        noticed_s = self.noticing_s(IMPLAUSIBLE_SAMPLES)
-        return allowed + self.quick_stop(noticed_s, self.reference.peak_speed(noticed_s))
+        detected_s = self.detection_s(IMPLAUSIBLE_SAMPLES)
+        return allowed + self.quick_stop(detected_s, self.reference.peak_speed(detected_s))
 
     def hidden_scale(self) -> float:
         """Return what an encoder costs that counts half, and so looks like the model itself: twice the way."""
@@ -219,7 +219,7 @@ class Budget:
         ramp_s = limits.velocity / limits.acceleration
         saturated_s = ramp_s + 1.0 / self._pole + ticks * self.tick_s
         return self.stopping(
-            saturated_s + self.noticing_s(self.design.ticks(limits.effort_saturation_ms)), limits.acceleration
+            saturated_s + self.detection_s(self.design.ticks(limits.effort_saturation_ms)), limits.acceleration
         )
 
     def disarmed(self) -> float:
@@ -228,8 +228,8 @@ class Budget:
         On a plant that is off its model a steep stop swings back, but it never costs more than coasting would.
         """
         rest = self.design.rest_velocity / (self._pole * (1.0 - MODEL_ERROR))
-        noticed_s = self.noticing_s(0)
-        return max(self.stopping(noticed_s, self.limits.acceleration), self.coasting(noticed_s)) + rest
+        detected_s = self.detection_s(0)
+        return max(self.stopping(detected_s, self.limits.acceleration), self.coasting(detected_s)) + rest
 
     def moved_while_disabled(self, gates: float) -> float:
         """Return the way of an axis that something moves by so many innovation gates, as far as its plant is known."""
@@ -237,10 +237,10 @@ class Budget:
 
     def contradicted(self) -> float:
         """Return what a heartbeat costs that contradicts the feedback: it is believed after three times its limit."""
-        return self.coasting(3.0 * self.limits.heartbeat_ms / 1e3 + self.noticing_s(1))
+        return self.coasting(3.0 * self.limits.heartbeat_ms / 1e3 + self.detection_s(1))
 
-    def runaway(self, noticed_s: float) -> float:
+    def runaway(self, detected_s: float) -> float:
         """Return the move's own way, then what the following error allows, then until a braking counts as failed."""
         speed = self.reference.peak_speed(60.0)
         braking_s = 2.0 * self.design.stopping_time_s(speed, self.limits.quick_stop_deceleration)
-        return self.reference.remaining() + self.followed() + speed * braking_s + self.coasting(noticed_s)
+        return self.reference.remaining() + self.followed() + speed * braking_s + self.coasting(detected_s)

@@ -172,7 +172,7 @@ def second_client(world: World, _: Random) -> None:
 def client_dies(world: World, _: Random) -> None:
     """End the operator's connection without a word."""
     world.requests.authority.acquire(OPERATOR)
-    world.requests.leave(OPERATOR)
+    world.requests.disconnect(OPERATOR)
 
 
 def reload(world: World, _: Random) -> None:

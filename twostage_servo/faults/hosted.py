@@ -175,7 +175,7 @@ class HostedRun:
         if not {"READY=1", "WATCHDOG=1"} <= heard:
             seen.wrong.append(f"the service manager had heard no more than {sorted(heard)}")
         bench.service.send_signal(signal.SIGUSR1)
-        if not self._watchdog.wait_for_silence(LONGEST_S, bench.take):
+        if not self._watchdog.wait_for_silence(LONGEST_S, bench.read_frames):
             seen.wrong.append("the signs of life did not cease")
         seen.exit_code = bench.service.end(signal.SIGABRT)
         if seen.exit_code != -signal.SIGABRT:
@@ -209,7 +209,7 @@ class HostedRun:
 
         # What has waited in the connection since the wait for rest tells nothing of now; and on a busy machine the bus
         # may bring later what the service has sent sooner.
-        bench.operator.take()
+        bench.operator.read_snapshots()
         bench.operator.unread.clear()
         first = bench.operator.latest["ticks"]["count"]
         bench.watch(
@@ -228,7 +228,7 @@ class HostedRun:
 
     def _look_at_the_drive(self) -> None:
         bench, seen = self._bench, self._seen
-        bench.take()
+        bench.read_frames()
         seen.enabled = bench.listener.reports[-1].enabled
         bench.drive.end(signal.SIGTERM)
         seen.time_outs = bench.drive.printed().get("counters", {}).get("command_timeouts")
@@ -278,8 +278,8 @@ class HostedRun:
         if self._phase is Phase.IDLE:
             return budget.unnoticed()
         if self._fault == ENDED:
-            return budget.stopping(budget.noticing_s(0), budget.limits.acceleration)
-        return budget.coasting(budget.command_timeout_s + budget.noticing_s(1))
+            return budget.stopping(budget.detection_s(0), budget.limits.acceleration)
+        return budget.coasting(budget.command_timeout_s + budget.detection_s(1))
 
     def _peak_speed(self, before: Snapshot) -> float:
         """Return the largest speed from the fault on, in axis unit/s.

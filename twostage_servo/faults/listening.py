@@ -64,8 +64,8 @@ class Listener:
         """Leave the bus."""
         self._link.close()
 
-    def take(self) -> None:
-        """Take what has arrived."""
+    def read_frames(self) -> None:
+        """Read the frames that have arrived."""
         for message in self._link.drain():
             with contextlib.suppress(FrameRejected):
                 if message.arbitration_id == self._profile.feedback_id.identifier:
@@ -180,10 +180,10 @@ class Operator:
             finally:
                 self._keep(self._connection.kept())
 
-    def take(self) -> bool:
-        """Take the snapshots that have come, without waiting; return whether the service is still there."""
+    def read_snapshots(self) -> bool:
+        """Read the snapshots that have arrived, without waiting; return whether the service is still there."""
         try:
-            self._keep(self._connection.taken())
+            self._keep(self._connection.drain())
         except ServoError:
             self._keep(self._connection.kept())
             return False

@@ -132,7 +132,7 @@ class Script:
                 self._fault.inject(world, self._sizes)
             await self._go_on(world)
             await world.seconds(self._fault.shows_s(self._config))
-            world.take_sample()  # a service that has ended makes no ticks, and its axis may go on
+            world.record_sample()  # a service that has ended makes no ticks, and its axis may go on
             observed, code = self._observe(world)
             # What a check does to the axis is no travel any more.
             samples, ended_s = list(world.samples), world.now_s

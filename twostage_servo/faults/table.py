@@ -207,19 +207,19 @@ def _stale(budget: Budget) -> float:
 
 
 def _at_once(budget: Budget) -> float:
-    return budget.coasting(budget.noticing_s(0))
+    return budget.coasting(budget.detection_s(0))
 
 
 def _errors(budget: Budget) -> float:
-    return budget.quick_stop(budget.noticing_s(budget.limits.feedback_errors))
+    return budget.quick_stop(budget.detection_s(budget.limits.feedback_errors))
 
 
 def _heartbeat(budget: Budget) -> float:
-    return budget.coasting(budget.limits.heartbeat_ms / 1e3 + budget.noticing_s(0))
+    return budget.coasting(budget.limits.heartbeat_ms / 1e3 + budget.detection_s(0))
 
 
 def _command_timeout(budget: Budget) -> float:
-    return budget.coasting(budget.command_timeout_s + budget.noticing_s(1))
+    return budget.coasting(budget.command_timeout_s + budget.detection_s(1))
 
 
 def _retargeted(budget: Budget) -> float:
@@ -244,7 +244,7 @@ def _suspended_travel(duration_s: float) -> Bound:
             case Reaction.DISABLE:
                 return _command_timeout(budget)
             case Reaction.QUICK_STOP:
-                return budget.quick_stop(duration_s + budget.noticing_s(0))
+                return budget.quick_stop(duration_s + budget.detection_s(0))
         return budget.followed()
 
     return bound
@@ -283,7 +283,7 @@ def _after_a_signal(_: Config, phase: Phase) -> str:
 
 
 def _ended(budget: Budget) -> float:
-    return budget.stopping(budget.noticing_s(0), budget.limits.acceleration)
+    return budget.stopping(budget.detection_s(0), budget.limits.acceleration)
 
 
 def _counts(_: DriveProfile, protocol: ProtocolSettings) -> bool:
@@ -330,7 +330,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(7, "a frame more than a tick late", bus_faults.delay_beyond_a_tick, TOLERATED, _bridged),
     Fault(8, "queue full, one command", bus_faults.refuse_to_send(1), TOLERATED, _followed),
     Fault(8, "queue full, two commands", bus_faults.refuse_to_send(2), QUICK,
-          lambda budget: budget.quick_stop(budget.noticing_s(2)), idle=TOLERATED, shared=True),
+          lambda budget: budget.quick_stop(budget.detection_s(2)), idle=TOLERATED, shared=True),
     Fault(9, "controller error-passive", bus_faults.error_passive, TOLERATED, _unnoticed, check=bus_error_reported),
     Fault(10, "bus-off", bus_faults.bus_off, DISABLED, _command_timeout, check=came_back_disarmed, idle=TOLERATED,
           shared=True),
@@ -378,7 +378,7 @@ TABLE: tuple[Fault, ...] = (
           and protocol.heartbeat.boot_counter is not False,
           reason="the drive has no heartbeat that counts its boots"),
     Fault(28, "drive ignores the effort", _D.ignore_effort, QUICK,
-          lambda budget: budget.runaway(budget.noticing_s(0)), idle=QUICK, again=True,
+          lambda budget: budget.runaway(budget.detection_s(0)), idle=QUICK, again=True,
           instead=DISABLED, note="the quick stop cannot work, so the drive is disabled in the end"),
     Fault(29, "effort saturates: speed unreachable", _D.too_weak,
           {Phase.ACCELERATING: STOPPED, Phase.CRUISING: STOPPED, Phase.HOLDING: STOPPED},
@@ -391,7 +391,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(33, "safe torque off", _D.safe_torque_off, DISABLED, _at_once, check=still_seen,
           needs=lambda _, protocol: protocol.feedback.safe_torque_off is not False),
     Fault(34, "limit switch ahead", _D.limit_switch, {**dict.fromkeys(MOVING, QUICK), Phase.HOLDING: REFUSED},
-          lambda budget: budget.quick_stop(budget.noticing_s(0)), idle=REFUSED, check=only_off_the_switch,
+          lambda budget: budget.quick_stop(budget.detection_s(0)), idle=REFUSED, check=only_off_the_switch,
           needs=lambda _, protocol: protocol.feedback.positive_limit is not False),
     Fault(35, "heartbeat stops", _D.heartbeat_stops, DISABLED, _heartbeat,
           needs=lambda profile, _: profile.heartbeat_id is not None, reason="the drive has no heartbeat"),
@@ -404,16 +404,18 @@ TABLE: tuple[Fault, ...] = (
           note="longer than the drive's command time-out: it disables itself before the service sees the missed ticks"),
     # The tick in which the defect shows sends no command.
     Fault(40, "a defect in the loop", _H.defect, QUICK,
-          lambda budget: budget.quick_stop(budget.noticing_s(1)), idle=REFUSED, check=ended_with_an_error, shared=True),
+          lambda budget: budget.quick_stop(budget.detection_s(1)), idle=REFUSED, check=ended_with_an_error,
+          shared=True),
     Fault(40, "a defect in what listens to the loop", _H.defect_of_a_publisher, QUICK,
-          lambda budget: budget.quick_stop(budget.noticing_s(0)), idle=REFUSED, check=ended_with_an_error, shared=True),
+          lambda budget: budget.quick_stop(budget.detection_s(0)), idle=REFUSED, check=ended_with_an_error,
+          shared=True),
     Fault(41, "processor hogged: every tick late", _H.hog, TOLERATED, lambda budget: budget.late(_H.LATEST_TICK)),
     # Operator and configuration
     Fault(43, "set-points out of range, NaN, infinite", _H.bad_set_points, REFUSED, _unnoticed, check=refused_all),
     Fault(44, "set-point in mid-move", _H.retarget, TOLERATED, _retargeted, phases=MOVING, check=continuous),
     Fault(45, "two clients", _H.second_client, REFUSED, _unnoticed, check=refused_all),
     Fault(46, "the client that commands dies", _H.client_dies, _after_the_holder, lambda budget: budget.stopping(
-        budget.noticing_s(0), budget.limits.acceleration), shared=True),
+        budget.detection_s(0), budget.limits.acceleration), shared=True),
     Fault(49, "reload while armed", _H.reload, REFUSED, _unnoticed, phases=ARMED, check=refused_all),
     # Clock, disk, network
     Fault(50, "wall clock jumps by an hour", _H.wall_clock_jumps, TOLERATED, _unnoticed),

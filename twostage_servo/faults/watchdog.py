@@ -49,7 +49,7 @@ class Watchdog:
 
     def heard(self) -> set[str]:
         """Return what the service has said so far."""
-        self._take()
+        self._receive()
         return self._heard
 
     def wait_for_silence(self, longest_s: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
@@ -65,7 +65,7 @@ class Watchdog:
         begun_s = heard_s = time.monotonic()
         while time.monotonic() < begun_s + longest_s:
             silent = time.monotonic() >= heard_s + self._limit_s
-            if _ALIVE in self._take():
+            if _ALIVE in self._receive():
                 heard_s = time.monotonic()
             elif silent:
                 return True
@@ -73,7 +73,7 @@ class Watchdog:
             time.sleep(_GLANCE_S)
         return False
 
-    def _take(self) -> list[str]:
+    def _receive(self) -> list[str]:
         said: list[str] = []
         with contextlib.suppress(BlockingIOError):
             while True:

@@ -289,14 +289,14 @@ class World:
         """Let simulated time pass."""
         await asyncio.sleep(duration_s)
 
-    def take_sample(self) -> None:
-        """Keep a sample of this very moment."""
+    def record_sample(self) -> None:
+        """Record a sample of this moment."""
         place, effort = self.place(), self.axis_loop.command.effort
         self.samples.append(Sample(self.now_s, place, self.drive.velocity, effort, str(self.axis.state)))
 
     def _on_tick(self, _: Tick) -> None:
         if self.keeps_samples:
-            self.take_sample()
+            self.record_sample()
         self._look()
 
     def _look(self) -> None:

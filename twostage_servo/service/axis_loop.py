@@ -73,10 +73,10 @@ class AxisLoop:
         self._sent_s: float | None = None
         self._dropped_in_a_row = 0
         receivers = {
-            identifier.identifier: functools.partial(self._take, decode)
+            identifier.identifier: functools.partial(self._deliver, decode)
             for identifier, decode in drive.decoders.items()
         }
-        bus.subscribe(Subscriber(receivers, self._fall_behind, self._lose_bus))
+        bus.subscribe(Subscriber(receivers, self._record_backlog, self._lose_bus))
 
     @property
     def name(self) -> str:
@@ -91,7 +91,7 @@ class AxisLoop:
 
     def replace_axis(self, axis: Axis) -> None:
         """Put a disarmed axis of other settings in the place of the present one; it knows what that knew."""
-        axis.take_over(self.axis)
+        axis.continue_from(self.axis)
         self.axis = axis
 
     def update(self) -> None:
@@ -131,15 +131,15 @@ class AxisLoop:
         )  # fmt: skip
         self.recorder.add(sample)
 
-    def _take(self, decode: Decoder, message: can.Message) -> None:
-        """Take a frame of the drive, or one that only the drive should have received."""
+    def _deliver(self, decode: Decoder, message: can.Message) -> None:
+        """Deliver a frame of the drive, or one that only the drive should have received."""
         if self.start_up.is_done:
-            self.receiver.take(decode, message, self.axis, self.bus.link)
+            self.receiver.deliver(decode, message, self.axis, self.bus.link)
         else:
-            self.start_up.take(message)
+            self.start_up.accept(message)
 
-    def _fall_behind(self, reads: int, frames: int) -> None:
-        self.axis.drive.notice_backlog(reads, frames)
+    def _record_backlog(self, reads: int, frames: int) -> None:
+        self.axis.drive.record_backlog(reads, frames)
 
     def _lose_bus(self, error: str) -> None:
         """Trip, and know nothing of the drive any more."""
@@ -154,8 +154,8 @@ class AxisLoop:
             text = "the drive could not be told to disable; its own time-out has to stop it"
             structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus takes no frame")
 
-    def tell_if_not_disabled(self) -> bool:
-        """Return whether the drive was never seen to be disabled before the service ends, which the log is told."""
+    def report_if_not_disabled(self) -> bool:
+        """Return whether the drive was never seen disabled before the service ends; log it if so."""
         watch = self.axis.disabled
         if watch.seen_enabled:
             text = "the drive has not been seen to be disabled before the service ends; its own time-out has to stop it"

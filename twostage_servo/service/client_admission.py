@@ -23,7 +23,7 @@ from twostage_servo.service.listening_socket import ListeningSocket
 from twostage_servo.service.newcomers import Newcomers
 from twostage_servo.service.request_age import RequestAge
 
-_MOST_A_TURN: Final = 16
+_MOST_A_SLOT: Final = 16
 """Clients let in in one turn, however little time they seem to take."""
 _PAUSE_S: Final = 1.0
 """After a client that could not be let in."""
@@ -65,7 +65,7 @@ class ClientAdmission:
         self._numbers = itertools.count(1)
         self._log = structlog.get_logger().bind(room="control_socket")
 
-    async def let_in(self, listener: socket.socket) -> None:
+    async def accept_connections(self, listener: socket.socket) -> None:
         """Accept connections, each in a slot; the kernel keeps the others waiting."""
         with listener:
             door = ListeningSocket(listener, self._age)
@@ -74,16 +74,16 @@ class ClientAdmission:
                 await door.somebody()
                 try:
                     async with self._background.slot(Priority.CONNECTION):
-                        self._let_some_in(door)
+                        self._accept_some(door)
                 except Exception as error:  # noqa: BLE001 - no descriptor is left, or a defect: nobody is shut out for good
                     self._log.warning("no client can be let in", error=repr(error), retry_s=_PAUSE_S)
                     await asyncio.sleep(_PAUSE_S)
                 await asyncio.sleep(0)
 
-    def _let_some_in(self, door: "ListeningSocket") -> None:
+    def _accept_some(self, door: "ListeningSocket") -> None:
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._background.slice_s
-        for _ in range(_MOST_A_TURN):
+        for _ in range(_MOST_A_SLOT):
             if self.newcomers.pause_s() > 0.0:
                 return
             try:
@@ -114,18 +114,18 @@ class ClientAdmission:
             self._shed_silent()
         self.newcomers.add_silent(connection)
 
-    async def hear_out(self) -> None:
+    async def read_first_requests(self) -> None:
         """Read the first request of each who had none when he was let in."""
         while True:
             await self.newcomers.somebody_speaks()
             async with self._background.slot(Priority.CONNECTION):
-                self._hear_some_out()
+                self._read_some()
             await asyncio.sleep(0)
 
-    def _hear_some_out(self) -> None:
+    def _read_some(self) -> None:
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._background.slice_s
-        for connection in self.newcomers.speaking(_MOST_A_TURN):
+        for connection in self.newcomers.speaking(_MOST_A_SLOT):
             connection.receive()
             if connection.ended or connection.has_line:
                 self.newcomers.remove_silent(connection)
@@ -160,7 +160,7 @@ class ClientAdmission:
     def _admit_some(self) -> None:
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._background.slice_s
-        for _ in range(_MOST_A_TURN):
+        for _ in range(_MOST_A_SLOT):
             waiting = self.newcomers.next_waiting()
             if waiting is None:
                 return

@@ -18,7 +18,7 @@ from twostage_servo.service.request_handler import RequestHandler
 from twostage_servo.service.watchers import Watchers
 from twostage_servo.timing.ticks import Tick
 
-_MOST_A_TURN: Final = 16
+_MOST_A_SLOT: Final = 16
 """Pieces of an answer made in one turn, however little time they seem to take."""
 _LINGER_S: Final = 1.0
 """For so long a client that sends no more may take what it was answered."""
@@ -70,7 +70,7 @@ class ClientSessions:
         return self._connections.full
 
     def publish(self, tick: Tick) -> None:
-        """Take notice of a tick, and of the watchers for which a snapshot is due; it is made between the ticks."""
+        """Mark the watchers for which a snapshot is due at this tick; it is made between the ticks."""
         self._requests.status.forget()
         self._watchers.publish(tick.index)
 
@@ -110,7 +110,7 @@ class ClientSessions:
         """Return the connection that matters least, and has not asked for anything just now either."""
         connection = None
         for _ in range(_LOOKS):
-            connection = self._connections.the_one_to_go(self._requests.authority.holder)
+            connection = self._connections.to_evict(self._requests.authority.holder)
             if connection is None or connection.busy or connection.ended or connection.urgent is not None:
                 break
             if not connection.has_line:
@@ -141,7 +141,7 @@ class ClientSessions:
         if connection in self._connections:
             self._connections.discard(connection)
             self._watchers.end(connection)
-            self._requests.leave(connection.peer)
+            self._requests.disconnect(connection.peer)
         connection.close()
 
     # What they ask ---------------------------------------------------------------------------------------------------
@@ -152,10 +152,10 @@ class ClientSessions:
             while request is not None or (request := await self._next_request(connection)) is not None:
                 await self._answer(connection, request)
                 request = None
-            self._requests.leave(connection.peer)
+            self._requests.disconnect(connection.peer)
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(_LINGER_S):
-                    await connection.taken()
+                    await connection.flushed()
         except ConnectionError as error:
             self._log.info("client lost", peer=connection.peer, error=str(error))
         except Exception as error:  # noqa: BLE001 - a defect in one answer ends this connection, and nothing else
@@ -175,7 +175,7 @@ class ClientSessions:
             if request is not None:
                 return request
             if not connection.ended:  # at the end it is not waited for that long
-                await connection.taken()
+                await connection.flushed()
             await asyncio.sleep(0)
 
     def _priority_of_reading(self, connection: Connection) -> Priority:
@@ -200,7 +200,7 @@ class ClientSessions:
             return None
         self._connections.touch(connection)
         try:
-            request = parse_request(connection.take_line())
+            request = parse_request(connection.pop_line())
         except BadRequestError as error:
             connection.write(answers.failure(RefusalCode.BAD_REQUEST, str(error)))
             return None
@@ -225,7 +225,7 @@ class ClientSessions:
         is_more = True
         connection.begin_answer()
         refused = await self._requests.prepare(request, connection)
-        connection.look()
+        connection.probe()
         pieces: Iterator[bytes] | None = None if refused is None else refused.pieces
         while is_more:
             async with self._background.slot(priority_of(request)):
@@ -237,8 +237,8 @@ class ClientSessions:
                     if done and isinstance(request, WatchRequest):
                         self._watchers.begin(connection, request.every, axis_loop)
                 is_more = self._send_some(connection, pieces)
-            await connection.taken()
-            connection.look()
+            await connection.flushed()
+            connection.probe()
             await asyncio.sleep(0)
         connection.end_answer()
 
@@ -247,7 +247,7 @@ class ClientSessions:
         clock = asyncio.get_running_loop().time
         until_s = clock() + self._background.slice_s
         made = []
-        for _ in range(_MOST_A_TURN):
+        for _ in range(_MOST_A_SLOT):
             piece = next(pieces, None)
             if piece is None:
                 break

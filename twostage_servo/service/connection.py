@@ -121,7 +121,7 @@ class Connection:
         """Whether the next line is longer than it may be."""
         return len(self._incoming) > self._longest and b"\n" not in self._incoming[: self._longest]
 
-    def take_line(self) -> bytes:
+    def pop_line(self) -> bytes:
         """Return the next line, and forget it."""
         line, _, rest = self._incoming.partition(b"\n")
         self._incoming = rest
@@ -143,7 +143,7 @@ class Connection:
         return not places
 
     def was_empty(self, at_s: float) -> None:
-        """Note that nothing could be read from it at a time, s."""
+        """Record that nothing could be read from it at a time, s."""
         self._empty_s = max(self._empty_s, at_s)
 
     def end(self) -> None:
@@ -173,8 +173,8 @@ class Connection:
         for future in self._readers:  # where it was not they who read
             wake(future)
 
-    def look(self) -> None:
-        """Note that there is nothing to be read, if so; for in the middle of an answer, when nobody waits for more.
+    def probe(self) -> None:
+        """Record that there is nothing to read, if so; for use in the middle of an answer, when nobody waits for more.
 
         An answer may take long, and a client that has had it asks for the next thing at once: that has not waited for
         as long as the answer took.
@@ -207,9 +207,9 @@ class Connection:
         finally:
             if not self.closed:
                 loop.remove_reader(self.descriptor)
-        noticed_s = self._age.noticed_s(watched_since_s)
-        if noticed_s is not None:
-            self._empty_s = max(self._empty_s, noticed_s)
+        empty_until_s = self._age.was_empty_until_s(watched_since_s)
+        if empty_until_s is not None:
+            self._empty_s = max(self._empty_s, empty_until_s)
 
     @property
     def gone(self) -> bool:
@@ -243,8 +243,8 @@ class Connection:
         self.write(line)
         return True
 
-    async def taken(self) -> None:
-        """Wait until the other side has taken all that was written, or is gone.
+    async def flushed(self) -> None:
+        """Wait until the other side has read all that was written, or has gone.
 
         Raises
         ------

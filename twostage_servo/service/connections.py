@@ -41,13 +41,13 @@ class Connections:
         self._all.pop(connection, None)
 
     def touch(self, connection: Connection) -> None:
-        """Note that a connection is not idle."""
+        """Record that a connection is not idle."""
         if connection in self._all:
             del self._all[connection]
             self._all[connection] = None
 
-    def the_one_to_go(self, holder: str | None) -> Connection | None:
-        """Return the one that makes room: who has hung up goes first, then who has been idle the longest.
+    def to_evict(self, holder: str | None) -> Connection | None:
+        """Return the one to evict: first one that has hung up, then the one idle for longest.
 
         A watcher that takes its snapshots is not idle. One in the middle of a long answer goes late, one that has asked
         for a stop last, and the client that commands never.

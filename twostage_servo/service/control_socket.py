@@ -72,8 +72,8 @@ class ControlSocket:
         admission = self._admission = ClientAdmission(self._sessions, self._background, self._age)
         listen = functools.partial(self._listen, admission)
         listening = listen(listener)
-        keeping = self._file.keep(lambda: self._background.slot(Priority.CONNECTION), listen, listening, listener)
-        serving = (keeping, self._watch(), admission.hear_out(), admission.find_places())
+        keeping = self._file.maintain(lambda: self._background.slot(Priority.CONNECTION), listen, listening, listener)
+        serving = (keeping, self._watch(), admission.read_first_requests(), admission.find_places())
         self._working = [asyncio.create_task(one) for one in serving]
 
     async def stop(self) -> None:
@@ -90,12 +90,12 @@ class ControlSocket:
         self._working = []
 
     def publish(self, tick: Tick) -> None:
-        """Take notice of a tick, and of the watchers for which a snapshot is due; it is made between the ticks."""
+        """Mark the watchers for which a snapshot is due at this tick; it is made between the ticks."""
         self._age.tick()
         self._sessions.publish(tick)
 
     def _listen(self, admission: ClientAdmission, listener: socket.socket) -> "asyncio.Task[None]":
-        task = asyncio.create_task(admission.let_in(listener))
+        task = asyncio.create_task(admission.accept_connections(listener))
         self._listening.add(task)
         task.add_done_callback(self._listening.discard)
         task.add_done_callback(lambda _: listener.close())  # also where it has not even begun

@@ -38,9 +38,9 @@ class ListeningSocket:
             await future
         finally:
             loop.remove_reader(self._listener)
-        noticed_s = self._age.noticed_s(watched_since_s)
-        if noticed_s is not None:
-            self._empty_s = max(self._empty_s, noticed_s)
+        empty_until_s = self._age.was_empty_until_s(watched_since_s)
+        if empty_until_s is not None:
+            self._empty_s = max(self._empty_s, empty_until_s)
 
     def accept(self) -> tuple[socket.socket, float] | None:
         """Return a client's socket, and a time at which that did not wait here yet; None if nobody waits."""

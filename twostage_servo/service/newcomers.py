@@ -96,9 +96,9 @@ class Newcomers:
             await future
         finally:
             loop.remove_reader(self._poll)
-        noticed_s = self._age.noticed_s(watched_since_s)
-        if noticed_s is not None:
-            self._empty_s = max(self._empty_s, noticed_s)
+        empty_until_s = self._age.was_empty_until_s(watched_since_s)
+        if empty_until_s is not None:
+            self._empty_s = max(self._empty_s, empty_until_s)
 
     def speaking(self, most: int) -> "Iterator[Connection]":
         """Yield so many at most that have said something, or left; each is told until when it was silent."""

@@ -73,8 +73,8 @@ class Receiver:
         self._lateness_s = tick.lateness_s
         self._late = sent_s is not None and tick.deadline_s + tick.lateness_s - sent_s > _PATIENCE * self._period_s
 
-    def take(self, decode: Decoder, message: can.Message, axis: "Axis", link: "Link") -> None:
-        """Take one frame to the axis; a command to the drive that is not ours is a second controller.
+    def deliver(self, decode: Decoder, message: can.Message, axis: "Axis", link: "Link") -> None:
+        """Deliver one frame to the axis; a command to the drive that is not ours is a second controller.
 
         The link that brought it knows its age, and counts what is rejected.
         """
@@ -84,20 +84,20 @@ class Receiver:
             link.counters.count_rejection(rejection.reason)
             self._log.debug("frame rejected", reason=rejection.reason, text=rejection)
             if isinstance(rejection, PositionRejected):
-                axis.take_feedback(rejection.feedback, self._reception(message, link))
+                axis.accept_feedback(rejection.feedback, self._reception(message, link))
             elif message.arbitration_id == self._feedback_number:
                 axis.drive.monitor.reject()
             return
         if isinstance(report, Feedback):
-            axis.take_feedback(report, self._reception(message, link))
+            axis.accept_feedback(report, self._reception(message, link))
         elif isinstance(report, Heartbeat):
             self.drive_state = report.state
             state = None if report.state is None else self._states.get(report.state)
-            axis.take_heartbeat(report.boot_counter, state, late=self._is_late(message, link))
+            axis.record_heartbeat(report.boot_counter, state, late=self._is_late(message, link))
         elif isinstance(report, IndexMark):
-            axis.drive.take_index(report.position)
+            axis.drive.record_index(report.position)
         elif report is not None:
-            _take_foreign(report, axis)
+            _record_foreign(report, axis)
 
     def forget(self) -> None:
         """Start afresh, as after the bus was lost."""
@@ -120,13 +120,13 @@ class Receiver:
         return Reception(self.sample_age_s, self._late, self._is_late(message, link))
 
 
-def _take_foreign(foreign: ForeignCommand, axis: "Axis") -> None:
-    """Take a command that is not ours to the axis, with what it asks for as far as that can be read."""
+def _record_foreign(foreign: ForeignCommand, axis: "Axis") -> None:
+    """Record a command that is not ours in the axis, with what it asks for as far as that can be read."""
     command = foreign.command
     if command is None:
-        axis.take_foreign_command(f"{foreign.frame}, which is no valid command ({foreign.rejected})")
+        axis.record_foreign_command(f"{foreign.frame}, which is no valid command ({foreign.rejected})")
         return
     enables = command.effort != 0.0 if command.enable is None else command.enable
     unit = axis.settings.effort_unit
     asks = f"asks for an effort of {command.effort:.4g} {unit}" if enables else "disables the drive"
-    axis.take_foreign_command(f"{foreign.frame}, which {asks}", enables=enables)
+    axis.record_foreign_command(f"{foreign.frame}, which {asks}", enables=enables)

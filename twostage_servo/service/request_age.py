@@ -51,14 +51,14 @@ class RequestAge:
         self._passes: deque[float] = deque(maxlen=_PASSES)
 
     def tick(self) -> None:
-        """Note that the loop has come round to another tick."""
+        """Record that the loop has begun another tick."""
         self._passes.append(self.now_s())
 
     def now_s(self) -> float:
         """Return the time, s."""
         return asyncio.get_running_loop().time() + self._asleep_s()
 
-    def noticed_s(self, watched_since_s: float) -> float | None:
+    def was_empty_until_s(self, watched_since_s: float) -> float | None:
         """Return until when a descriptor that shows only now had nothing to be read; None if that is not known.
 
         Parameters

@@ -116,7 +116,7 @@ class RequestHandler:
             return self._refusal(request, asker, self._defect(error))
         return None
 
-    def leave(self, client: str) -> None:
+    def disconnect(self, client: str) -> None:
         """Handle a disconnect: release the client's authority, and apply what `holder_lost` says to its moves."""
         if not self.authority.release(client):
             return

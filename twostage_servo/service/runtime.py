@@ -16,7 +16,7 @@ class IdleTime(Protocol):
         """Begin to work after a tick; the loop has to be free from `until_s` on, on its clock in s."""
 
     def end(self) -> None:
-        """Take notice that there are no more ticks."""
+        """End: there are no more ticks."""
 
 
 @dataclass(frozen=True, slots=True)

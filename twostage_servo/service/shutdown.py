@@ -101,7 +101,7 @@ class Shutdown:
             axis = axis_loop.axis
             axis.disarm()
             if self._ticks_left <= 0 and axis.state in BRAKING:
-                self._tell_if_it_coasts(axis_loop)
+                self._report_if_coasting(axis_loop)
                 axis.end_braking()
 
     def is_over(self) -> bool:
@@ -118,9 +118,9 @@ class Shutdown:
         with contextlib.ExitStack() as every_drive:  # a defect at one drive is not in the way of the others
             for axis_loop in self._axis_loops:
                 every_drive.callback(axis_loop.disable_drive, tick_index)
-        self.not_disabled = [one.name for one in self._axis_loops if one.tell_if_not_disabled()]
+        self.not_disabled = [one.name for one in self._axis_loops if one.report_if_not_disabled()]
 
-    def _tell_if_it_coasts(self, axis_loop: AxisLoop) -> None:
+    def _report_if_coasting(self, axis_loop: AxisLoop) -> None:
         velocity = axis_loop.axis.estimate.velocity
         if abs(velocity) > axis_loop.axis.design.rest_velocity:
             self._log.error(

@@ -19,7 +19,7 @@ _LOOK_S: Final = 1.0
 """Pause between two looks at the path."""
 
 Listen = Callable[[socket.socket], "asyncio.Task[None]"]
-Turn = Callable[[], AbstractAsyncContextManager[None]]
+Slot = Callable[[], AbstractAsyncContextManager[None]]
 
 _Identity = tuple[int, int]
 
@@ -62,7 +62,7 @@ class SocketFile:
             If it cannot be used.
         """
         prepare_folder(self.path)
-        self._take_lock()
+        self._acquire_lock()
         listener = socket.socket(socket.AF_UNIX)
         try:
             _remove_if_dead(self.path)
@@ -77,7 +77,7 @@ class SocketFile:
         except BaseException:
             listener.close()
             if self._identity is None:
-                self._give_up_lock()
+                self._release_lock()
             raise
         return listener
 
@@ -89,14 +89,16 @@ class SocketFile:
         if self._is_there():
             self.path.unlink(missing_ok=True)
         self._identity = None
-        self._give_up_lock()
+        self._release_lock()
 
-    async def keep(self, turn: Turn, listen: Listen, listening: "asyncio.Task[None]", listener: socket.socket) -> None:
-        """Look after the path for ever, and make the socket again where somebody has removed it. Clients stay.
+    async def maintain(
+        self, slot: Slot, listen: Listen, listening: "asyncio.Task[None]", listener: socket.socket
+    ) -> None:
+        """Check the path repeatedly, and make the socket again if somebody has removed it. Clients stay connected.
 
         Parameters
         ----------
-        turn
+        slot
             Grants a slot between the ticks, in which to look.
         listen
             Begins to let clients in from a socket, and returns the task, which closes it.
@@ -105,13 +107,13 @@ class SocketFile:
         """
         while True:
             await asyncio.sleep(_LOOK_S)
-            async with turn():
+            async with slot():
                 fresh = self._bind_again()
             if fresh is None:
                 continue
             forgotten, forgotten_listener, listener = listening, listener, fresh
             listening = listen(fresh)
-            await _let_the_last_in(forgotten, forgotten_listener)
+            await _accept_the_last(forgotten, forgotten_listener)
 
     def _bind_again(self) -> socket.socket | None:
         """Make the socket again if it is gone; return it, or None."""
@@ -119,7 +121,7 @@ class SocketFile:
             return None
         try:
             if self._is_there():
-                self._take_lock()
+                self._acquire_lock()
                 listener = None
             else:
                 listener = self.bind()
@@ -141,7 +143,7 @@ class SocketFile:
     def _has_lock(self) -> bool:
         return self._lock is not None and _identity(self._lock_path) == _identity(self._lock)
 
-    def _take_lock(self) -> None:
+    def _acquire_lock(self) -> None:
         while not self._has_lock():
             descriptor = os.open(self._lock_path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
             try:
@@ -156,7 +158,7 @@ class SocketFile:
             # Its last owner may have removed it meanwhile: a lock on a file that nobody can find is none.
             self._lock = descriptor
 
-    def _give_up_lock(self) -> None:
+    def _release_lock(self) -> None:
         if self._lock is None:
             return
         if self._has_lock():
@@ -166,7 +168,7 @@ class SocketFile:
         self._lock = None
 
 
-async def _let_the_last_in(listening: "asyncio.Task[None]", listener: socket.socket) -> None:
+async def _accept_the_last(listening: "asyncio.Task[None]", listener: socket.socket) -> None:
     """Close a socket to which nobody can come any more, when those who wait there have been let in."""
     look = select.poll()
     look.register(listener, select.POLLIN)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from twostage_servo.service.status_lines import StatusLines
 
 _BEGIN: Final = b'{"event":"snapshot",'
-_MOST_A_TURN: Final = 16
+_MOST_A_SLOT: Final = 16
 """Pieces made, or snapshots sent, however little time they seem to take."""
 
 
@@ -71,7 +71,7 @@ class Watchers:
         self._watches.pop(connection, None)
 
     def publish(self, tick: int) -> None:
-        """Take notice of a tick; only here is a snapshot found to be due."""
+        """Mark the watchers for which a snapshot is due at this tick."""
         self._tick = tick
         self._lines.clear()
         if any(self._all_due()):
@@ -113,7 +113,7 @@ class Watchers:
         shown = [
             one for one in due if one is self._watches.get(one.connection) and one.axis is axis and one.due <= tick
         ]
-        for watch in shown[:_MOST_A_TURN]:
+        for watch in shown[:_MOST_A_SLOT]:
             connection = watch.connection
             self._watches[connection] = watch._replace(due=self._tick + watch.every)
             if connection.send_snapshot(line):
@@ -127,7 +127,7 @@ class Watchers:
         begun = self._begun.get(axis)
         if begun is None or begun.tick < since:
             begun = self._begun[axis] = _Begun(self._tick, self._status.line(axis, _BEGIN), [])
-        for _ in range(_MOST_A_TURN):
+        for _ in range(_MOST_A_SLOT):
             piece = next(begun.pieces, None)
             if piece is None:
                 del self._begun[axis]

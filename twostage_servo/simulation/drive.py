@@ -262,7 +262,7 @@ class SimulatedDrive:
         frames += self._side.answers()
         if self._has_index:
             self._advance()
-            if (mark := self._axis.take_passed_mark()) is not None:
+            if (mark := self._axis.pop_passed_mark()) is not None:
                 frames += self._index(mark)
         if self._feedback_asked or now_s >= self._feedback_timer.due_s:
             if self._feedback_asked:
@@ -353,7 +353,7 @@ class SimulatedDrive:
     def _begin_to_run(self, booted_s: float) -> None:
         self._booted_s = inf
         self._encoder.restart(self._axis.position)
-        self._axis.take_passed_mark()  # nobody was there to see it
+        self._axis.pop_passed_mark()  # nobody was there to see it
         self._feedback_timer.restart(booted_s)
         self._heartbeat_timer.restart(booted_s)
 

@@ -92,7 +92,7 @@ class TrueAxis:
             return forced
         return begins is not None and ends is not None and begins <= self.position <= ends
 
-    def take_passed_mark(self) -> float | None:
+    def pop_passed_mark(self) -> float | None:
         """Return the true position of the index mark that was passed last, once; None when none was passed."""
         mark, self._passed_mark = self._passed_mark, None
         return mark

@@ -159,7 +159,7 @@ def test_a_stop_goes_on_from_the_speed_that_it_is_told() -> None:
     law = Run().law
     law.set_target(400.0, 100.0)
     law.stop(2000.0)
-    law.go_on_at(-60.0, 1.0)
+    law.resume_at(-60.0, 1.0)
     assert (law.observer.velocity, law.observer.disturbance, law.speed_reference) == (-60.0, 1.0, -60.0)
     law.step(None)
     assert law.speed_reference == pytest.approx(-40.0)

@@ -56,10 +56,10 @@ def test_a_late_effort_is_as_many_whole_ticks_late_as_come_nearest_to_5_ms(
 ) -> None:
     late = LateEffort(period_s)
     late.start(7.0)
-    assert [late.take(effort) for effort in (1.0, 2.0, 3.0, 4.0)] == acting
+    assert [late.delay(effort) for effort in (1.0, 2.0, 3.0, 4.0)] == acting
 
 
 def test_of_a_longer_tick_the_late_effort_takes_the_last_10_ms() -> None:
     late = LateEffort(0.04)
     late.start(8.0)
-    assert [late.take(effort) for effort in (0.0, 0.0, 4.0)] == [2.0, 0.0, 3.0]
+    assert [late.delay(effort) for effort in (0.0, 0.0, 4.0)] == [2.0, 0.0, 3.0]

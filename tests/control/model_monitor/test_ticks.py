@@ -128,10 +128,10 @@ def test_a_late_effort_is_a_tick_late_but_no_less_than_5_and_no_more_than_10_ms(
     period_s: float, acting: list[float]
 ) -> None:
     late = LateEffort(period_s)
-    assert [late.take(float(n)) for n in range(1, 8)] == acting
+    assert [late.delay(float(n)) for n in range(1, 8)] == acting
 
 
 def test_a_late_effort_begins_with_what_has_acted() -> None:
     late = LateEffort(0.002)
     late.start(3.0)
-    assert [late.take(effort) for effort in (1.0, 1.0, 1.0)] == [3.0, 3.0, 1.0]
+    assert [late.delay(effort) for effort in (1.0, 1.0, 1.0)] == [3.0, 3.0, 1.0]

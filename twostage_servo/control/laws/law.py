@@ -92,7 +92,7 @@ class Law(Protocol):
     def limit_effort(self, limit: float) -> None:
         """Keep the magnitude of the effort within a limit from the next step on."""
 
-    def go_on_at(self, velocity: float, disturbance: float) -> None:
+    def resume_at(self, velocity: float, disturbance: float) -> None:
         """Go on from another estimate of velocity and disturbance, in a stop that has begun as well."""
 
     def continue_from(self, other: Any) -> None:

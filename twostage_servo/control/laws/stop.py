@@ -117,7 +117,7 @@ class Stop:
         self.state.speed_reference = velocity
         self.state.ticks_at_rest = 0
 
-    def go_on_at(self, velocity: float) -> None:
+    def resume_at(self, velocity: float) -> None:
         """Go on from another estimated velocity, in axis unit/s."""
         self.state.speed_reference = velocity
 

@@ -122,11 +122,11 @@ class TrackingLaw:
         """Keep the magnitude of the effort within a limit (effort unit) from the next step on."""
         self.effort_limit = limit
 
-    def go_on_at(self, velocity: float, disturbance: float) -> None:
+    def resume_at(self, velocity: float, disturbance: float) -> None:
         """Go on from another estimate: axis unit/s and effort unit; also where a stop by the former one has begun."""
         self.observer.correct(velocity, disturbance)
         self.speed_reference = velocity
-        self.stop_stage.go_on_at(velocity)
+        self.stop_stage.resume_at(velocity)
 
     def continue_from(self, other: "TrackingLaw") -> None:
         """Take over the whole state of another law of the same design, its estimate included."""

@@ -137,8 +137,8 @@ class LateEffort:
         """Suppose that an effort (effort unit) has acted for long."""
         self._efforts = [effort] * len(self._efforts)
 
-    def take(self, effort: float) -> float:
-        """Take the effort of a tick, and return the one that acts in it, the mean over the tick, in effort unit."""
+    def delay(self, effort: float) -> float:
+        """Record the effort of a tick; return the delayed one that acts in it (mean over the tick), in effort unit."""
         before, self._efforts[self._next] = self._efforts[self._next], effort
         self._next = (self._next + 1) % len(self._efforts)
         return effort + self._share * (before - effort)

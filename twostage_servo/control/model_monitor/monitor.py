@@ -141,7 +141,7 @@ class ModelMonitor:
 
     def predict(self, effort: float) -> None:
         """Account for a period without a sample, in which `effort` (effort unit) acted."""
-        late_effort = self._late_effort.take(effort)
+        late_effort = self._late_effort.delay(effort)
         for observer, is_delayed in self._accepted:
             observer.predict(late_effort if is_delayed else effort)
         for observer in self._gains:
@@ -166,7 +166,7 @@ class ModelMonitor:
             How long before the instant of that effort the sample was taken, in s. Each hypothesis dates it by its own
             velocity: the one that is right by the right one.
         """
-        late_effort = self._late_effort.take(effort)
+        late_effort = self._late_effort.delay(effort)
         least_square = self._compare_accepted(sample, effort, late_effort, lag_s)
         kept, sums = self._forgetting, self._sums
         for index, observer in enumerate(self._gains):
