@@ -10,7 +10,9 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-_STAGES = {"moving_speed_stage": ("speed stage", "#dbe9f6"), "moving_position_stage": ("position stage", "#fdebd3")}
+from twostage_servo.axis.state import State
+
+_STAGES = {State.SPEED_STAGE: ("speed stage", "#dbe9f6"), State.POSITION_STAGE: ("position stage", "#fdebd3")}
 
 
 def read(path: Path) -> dict[str, list[str]]:

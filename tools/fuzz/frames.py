@@ -11,6 +11,7 @@ from tools.fuzz.outcome import Outcome
 from tools.fuzz.reference import refusal
 from tools.fuzz.reproducible import reproducible
 from tools.fuzz.request_maker import RequestMaker
+from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.drives.frame import FrameRejected
 from twostage_servo.service.answers import encode
@@ -177,7 +178,7 @@ class _Attack:
             bench.ask(**self._requests.sensible(bench.drive.loaded.config.axis))
         elif state is State.DISARMED and rng.random() < 0.5:
             bench.ask(op="arm")
-            if bench.refused == "position_limit":  # a jump that was taken for a wrap, which only a new reference ends
+            if bench.refused == RefusalCode.POSITION_LIMIT:  # a jump was taken for a wrap: only a new reference ends it
                 bench.ask(op="home", position=0.0)
         elif state is State.TRIPPED and rng.random() < 0.2:
             bench.ask(op="reset")

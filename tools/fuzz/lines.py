@@ -379,7 +379,7 @@ class _Conversation:
             answer = check_answer(await self._answer(reader), line)
         except ConnectionError:
             answer = None  # the answer may be lost with a connection that ends before all of the line is read
-        if answer is not None and answer["error"]["code"] != "bad_request":
+        if answer is not None and answer["error"]["code"] != RefusalCode.BAD_REQUEST:
             raise Failed(f"a line that is too long is answered by {answer}")
         writer.close()
         self._connection = None

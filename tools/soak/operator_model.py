@@ -8,7 +8,7 @@ from tools.soak.drive_model import DriveModel
 from tools.soak.encoder_watch import EncoderWatch
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.moves import MoveOutcome
-from twostage_servo.axis.refusals import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import State
 
 _MENDED_AT_ONCE = 0.6
@@ -79,7 +79,7 @@ class OperatorModel:
         limits = axis.settings.limits
         outside = not limits.position_minimum <= drive.position <= limits.position_maximum
         obstacle = axis.obstacle_to_arming()
-        moves = outside or (obstacle is not None and obstacle[0] == "position_limit")
+        moves = outside or (obstacle is not None and obstacle[0] == RefusalCode.POSITION_LIMIT)
         if moves:
             before = drive.position
             drive.place(0.9 * math.copysign(limits.position_maximum, before))

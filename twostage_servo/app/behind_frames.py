@@ -1,8 +1,8 @@
 """The paper's examples through the whole service, over CAN frames in simulated time, beside the law alone."""
 
 import asyncio
-from typing import Any
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.app.demonstration import Demonstration, demonstrate
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.config.files import shipped_configuration
@@ -76,7 +76,7 @@ def _differences(demonstration: Demonstration, run: Run) -> tuple[float, float, 
     return position, effort, ticks
 
 
-def _figures(demonstration: Demonstration) -> dict[str, Any]:
+def _figures(demonstration: Demonstration) -> JsonObject:
     result = demonstration.result()
     figures = {name: result[name] for name in ("overshoot", "settling_time_s", "final_error")}
     return {**figures, "speed_overshoot": max(0.0, result["peak_velocity"] - VELOCITY)}

@@ -3,10 +3,11 @@
 import functools
 from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import can
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.app.assembly import build_axis, build_drive, cyclic_frames
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.messages import DriveTraits
@@ -174,7 +175,7 @@ def build_requests(
 def build_service(
     parts: Parts,
     runtime: Runtime,
-    snapshot: Callable[[AxisLoop], dict[str, Any]],
+    snapshot: Callable[[AxisLoop], JsonObject],
     trip_files: TripWriter | None = None,
     publishers: Sequence[Publisher] = (),
 ) -> ServoService:

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.app.closed_loop import ClosedLoop, closed_loop
 from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.moves import MoveOutcome
@@ -218,7 +219,7 @@ class Demonstration:
         share = (sample.true_position - self._move.start) / length if length else 1.0
         self._progress(share, sample)
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> JsonObject:
         """Return the contract's JSON object."""
         statistics, trip = self._loop.parts.statistics, self._axis_loop.axis.trip
         return {
@@ -237,7 +238,7 @@ class Demonstration:
             "trace_sha256": self._frames.hexdigest(),
         }
 
-    def _score(self) -> dict[str, Any]:
+    def _score(self) -> JsonObject:
         if self._move is None:
             return dict.fromkeys(
                 ("final_error", "overshoot", "settling_band", "settling_time_s", "peak_velocity", "changeover")

@@ -4,10 +4,11 @@ import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import structlog
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.app.assembly import socket_path
 from twostage_servo.app.build import Parts, build_parts, build_requests, build_service
 from twostage_servo.app.punctual import punctual
@@ -42,7 +43,7 @@ class Served:
         Names of the axes whose drives had not reported that they are disabled.
     """
 
-    snapshot: dict[str, Any]
+    snapshot: JsonObject
     not_disabled: list[str]
 
 

@@ -4,10 +4,10 @@ import asyncio
 import contextlib
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import structlog
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.app.assembly import build_drive, drive_side
 from twostage_servo.app.serve import check_between_processes
 from twostage_servo.app.start_error import StartError
@@ -23,7 +23,7 @@ from twostage_servo.simulation.node import DriveNode
 from twostage_servo.timing.ticks import real_time_loop
 
 
-def simulate(machine: Machine, signals: EndingSignals) -> list[dict[str, Any]]:
+def simulate(machine: Machine, signals: EndingSignals) -> list[JsonObject]:
     """Run the drives of a configuration until a signal ends them; return what each has come to, ready for JSON.
 
     Raises
@@ -43,9 +43,7 @@ def simulate(machine: Machine, signals: EndingSignals) -> list[dict[str, Any]]:
         writer.close()
 
 
-async def _simulate(
-    configs: Sequence[Config], sides: Sequence[DriveSide], signals: EndingSignals
-) -> list[dict[str, Any]]:
+async def _simulate(configs: Sequence[Config], sides: Sequence[DriveSide], signals: EndingSignals) -> list[JsonObject]:
     now_s, boot_counter = asyncio.get_running_loop().time(), boots_by_the_clock()
     drives = [
         SimulatedDrive(config.simulation, side, now_s, boot_counter)

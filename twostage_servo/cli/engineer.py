@@ -200,6 +200,7 @@ def _explain(row: Any) -> str:
 
 def _design(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.app.assembly import design
+    from twostage_servo.axis.refusals import RefusalCode
 
     if options.plot is not None and options.plot.suffix not in _PLOTS:
         text = f"--plot {options.plot}: the name has to end in {' or '.join(_PLOTS)}"
@@ -211,7 +212,7 @@ def _design(options: argparse.Namespace) -> ExitCode:
     velocity = axis.cruise_velocity if options.velocity is None else options.velocity
     if not 0.0 < velocity <= axis.limits.velocity:
         text = f"--velocity {velocity:g}: it must be greater than 0 and at most {axis.limits.velocity:g} {axis.unit}/s"
-        raise CommandError(ExitCode.USAGE, "velocity_limit", text)
+        raise CommandError(ExitCode.USAGE, RefusalCode.VELOCITY_LIMIT, text)
     loops = axis_design.law.loops()
     report = _report(axis_design, velocity, loops)
     if options.plot is not None:

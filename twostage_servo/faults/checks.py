@@ -5,6 +5,7 @@ from collections.abc import Awaitable, Callable, Sequence
 
 from twostage_servo.axis.motion import IMPLAUSIBLE_SAMPLES
 from twostage_servo.axis.moves import MoveOutcome
+from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.paper import SPEED_TOLERANCE
@@ -158,7 +159,7 @@ async def only_off_the_switch(world: World) -> str | None:
     place = world.place()
     way = world.heading * _OFF_THE_SWITCH_WINDOWS * axis.settings.window.position
     for towards in ({"op": "move", "by": way}, {"op": "jog", "velocity": world.heading * world.velocity}):
-        if (code := world.ask(towards)) != "limit_switch":
+        if (code := world.ask(towards)) != RefusalCode.LIMIT_SWITCH:
             return f"`{towards['op']}` towards the switch was {f'refused: {code}' if code else 'carried out'}"
     if code := world.ask({"op": "move", "by": -way}):
         return f"a move off the switch was refused: {code}"

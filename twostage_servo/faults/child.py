@@ -14,8 +14,9 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.printable import printable_json
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def _run(options: argparse.Namespace, signals: "EndingSignals") -> int:
     return 0
 
 
-def _tell(result: dict[str, Any]) -> None:
+def _tell(result: JsonObject) -> None:
     """Print what came of it, for the parent."""
     print(printable_json(json.dumps(result)), flush=True)  # noqa: T201 - to a file, as an object of JSON
 

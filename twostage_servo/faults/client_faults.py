@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from twostage_servo.api.request_reading import LONGEST_LINE
 from twostage_servo.api.requests import ArmRequest, StatusRequest
+from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State
 from twostage_servo.client.errors import Refused, ServoError
 from twostage_servo.faults.host_faults import suspend
@@ -21,7 +22,6 @@ _HALF_CLOSED: Final = 70
 _UNREAD: Final = 110
 """Answers to one who reads none: more than the kernel takes."""
 _HEAVY: Final = 55
-_EXPIRED: Final = "expired"
 _DROPPED: Final = "dropped"
 
 
@@ -118,7 +118,7 @@ async def was_dropped(world: World) -> str | None:
 
 async def has_expired(world: World) -> str | None:
     """Check that what was asked during the freeze was refused after it."""
-    return _judge(world, _EXPIRED)
+    return _judge(world, RefusalCode.EXPIRED)
 
 
 async def serves_others(world: World) -> str | None:

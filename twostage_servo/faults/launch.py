@@ -10,7 +10,8 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+
+from twostage_servo.api.fields import JsonObject
 
 LONGEST_S = 60.0
 """Ends a wait for something that never comes; nothing is measured against it."""
@@ -68,10 +69,10 @@ class Child(subprocess.Popen[bytes]):
         """Return what it has logged."""
         return self._log.read_text(encoding="utf-8", errors="replace")
 
-    def printed(self) -> dict[str, Any]:
+    def printed(self) -> JsonObject:
         """Return the JSON object that it has printed, empty if there is none."""
         lines = self._printed.read_text(encoding="utf-8").splitlines()
-        result: dict[str, Any] = json.loads(lines[-1]) if lines else {}
+        result: JsonObject = json.loads(lines[-1]) if lines else {}
         return result
 
     def end(self, number: signal.Signals) -> int:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.request_reading import read_request
 from twostage_servo.api.requests import ReleaseRequest
 from twostage_servo.canbus.link import BusSettings, Link
@@ -15,7 +16,7 @@ from twostage_servo.client.errors import Refused, ServoError
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.frame import FrameRejected
 
-Snapshot = dict[str, Any]
+Snapshot = JsonObject
 
 _LONGEST_ANSWER_S = 60.0
 _PARTING_S = 1.0

@@ -15,6 +15,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from twostage_servo.axis.state import State
 from twostage_servo.faults.child import die_with
 from twostage_servo.telemetry.trip_files import write_file
 
@@ -27,7 +28,7 @@ _LONGEST_S = 0.05
 
 def content(number: int) -> tuple[dict[str, Any], tuple[tuple[Any, ...], ...]]:
     """Return document and records of the file with a number."""
-    records = tuple((tick, number, tick * 0.1, "moving_speed_stage", None, "x" * 40) for tick in range(RECORDS))
+    records = tuple((tick, number, tick * 0.1, str(State.SPEED_STAGE), None, "x" * 40) for tick in range(RECORDS))
     return {"number": number, "snapshot": {"trip": {"cause": "a power cut"}}, "fields": ["tick", "number"]}, records
 
 

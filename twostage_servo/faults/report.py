@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.runner import Result
 from twostage_servo.faults.table import ALL, BRAKED, MEANINGS, PROCESS_FAULTS, SEARCHING, TABLE
@@ -26,7 +26,7 @@ def by_axis(result: Result) -> list[tuple[str, list[Cell]]]:
     return [(name, [cell for cell in result.cells if (cell.axis or first) == name]) for name in result.units]
 
 
-def as_json(result: Result, seed: int) -> dict[str, Any]:
+def as_json(result: Result, seed: int) -> JsonObject:
     """Return the result as one JSON object."""
     cells, first = result.cells, next(iter(result.units))
     return {
@@ -153,7 +153,7 @@ def as_page(result: Result, seed: int, what: str) -> str:
     )
 
 
-def _axis_on_page(name: str, cells: Sequence[Cell], unit: str) -> dict[str, Any]:
+def _axis_on_page(name: str, cells: Sequence[Cell], unit: str) -> JsonObject:
     """Return what the page shows of one axis."""
     phases = _columns(cells)
     return {
@@ -171,7 +171,7 @@ def _axis_on_page(name: str, cells: Sequence[Cell], unit: str) -> dict[str, Any]
     }
 
 
-def _cell_on_page(cell: Cell | None, unit: str) -> dict[str, Any] | None:
+def _cell_on_page(cell: Cell | None, unit: str) -> JsonObject | None:
     if cell is None:
         return None
     share = min(1.0, cell.travel / cell.bound) if cell.bound > 0.0 else float(cell.travel > 0.0)

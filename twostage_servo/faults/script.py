@@ -276,7 +276,7 @@ class Script:
             except Refused as refused:
                 self._observed, self._code = REFUSED, refused.code
         elif world.axis.trip is None:
-            self._observed, self._code = REFUSED, "ending"
+            self._observed, self._code = REFUSED, RefusalCode.ENDING
         await self._follow(world)
 
     async def _follow(self, world: World) -> None:

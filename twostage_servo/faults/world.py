@@ -14,7 +14,7 @@ from twostage_servo.api.request_reading import parse_request
 from twostage_servo.api.requests import BadRequestError
 from twostage_servo.app.closed_loop import SERVICE, ClosedLoop, HeldTicks, Wires, closed_loop
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.refusals import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.client.asynchronous import AsyncConnection
 from twostage_servo.config.loader import Config, LoadedConfig
@@ -220,7 +220,7 @@ class World:
         try:
             self.requests.handle(parse_request(line.encode()), client)
         except BadRequestError:
-            return "bad_request"
+            return RefusalCode.BAD_REQUEST
         except Refused as refused:
             return refused.code
         return None

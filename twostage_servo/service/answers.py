@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.records import JsonRecord
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.printable import ready_for_json
@@ -12,7 +13,7 @@ _RECORDS_A_PIECE: Final = 50
 _ENCODER: Final = json.JSONEncoder(allow_nan=False, check_circular=False, separators=(",", ":"), default=vars)
 """Writes a record as an object of its fields, without an object in between."""
 
-Answer = dict[str, Any]
+Answer = JsonObject
 
 
 def encode(answer: Mapping[str, Any] | JsonRecord) -> bytes:

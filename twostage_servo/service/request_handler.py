@@ -5,6 +5,7 @@ from typing import Any, Final, Literal
 
 import structlog
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.requests import (
     READING,
     AcquireRequest,
@@ -136,7 +137,7 @@ class RequestHandler:
 
     # For somebody in this process ------------------------------------------------------------------------------------
 
-    def handle(self, request: Request, client: str = "this process") -> dict[str, Any]:
+    def handle(self, request: Request, client: str = "this process") -> JsonObject:
         """Carry out a request at once, and return what a client would be told, ready for JSON.
 
         Parameters

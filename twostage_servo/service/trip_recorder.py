@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import structlog
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.telemetry.sample import FIELDS
 
@@ -18,9 +19,7 @@ if TYPE_CHECKING:
 class TripWriter(Protocol):
     """Writes trip files, and tells what becomes of each; never waits."""
 
-    def write(
-        self, name: str, document: dict[str, Any], records: "Sequence[Sequence[Any]]", file: "TripFile"
-    ) -> object:
+    def write(self, name: str, document: JsonObject, records: "Sequence[Sequence[Any]]", file: "TripFile") -> object:
         """Begin to write a file."""
 
     def fail(self, name: str, error: BaseException, file: "TripFile") -> None:
@@ -41,7 +40,7 @@ class TripRecorder:
     """
 
     def __init__(
-        self, axis_loop: AxisLoop, snapshot: Callable[[AxisLoop], dict[str, Any]], files: TripWriter | None
+        self, axis_loop: AxisLoop, snapshot: Callable[[AxisLoop], JsonObject], files: TripWriter | None
     ) -> None:
         self._axis_loop = axis_loop
         self._snapshot = snapshot
@@ -55,7 +54,7 @@ class TripRecorder:
             self._keep(trip)
         self._trip = trip
 
-    def _document(self) -> dict[str, Any]:
+    def _document(self) -> JsonObject:
         return {"snapshot": self._snapshot(self._axis_loop), "fields": FIELDS}
 
     def _keep(self, trip: "Trip") -> None:

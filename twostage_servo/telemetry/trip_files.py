@@ -14,11 +14,12 @@ from typing import Any, Final
 
 import structlog
 
+from twostage_servo.api.fields import JsonObject
 from twostage_servo.axis.trips import TripFile
 from twostage_servo.printable import ready_for_json
 from twostage_servo.worker_thread import WorkerThread
 
-Document = dict[str, Any]
+Document = JsonObject
 Records = Sequence[Sequence[Any]]
 
 KEPT = 50
