@@ -69,8 +69,8 @@ ERRATA: Final = (
         "(36)",
         "Q/R = 5.0e-5, no matrix Q",
         "Q = q·diag(1, 0, 1), R = 1",
-        "with equal weight on Δy and e every printed digit of (36) comes out. Any diag(w, 0, 1) with w from 0.6 to 4.2 "
-        "does that, and 1 is the plain choice; weight on e alone gives f11 = 3.77e-1, weight on all three states "
+        "equal weight on Δy and e reproduces every printed digit of (36). Any diag(w, 0, 1) with w from 0.6 to 4.2 "
+        "does that, and 1 is the simplest choice; weight on e alone gives f11 = 3.77e-1, weight on all three states "
         "f12 = 2.35e-2",
         "small: f11 changes by 0.02 % in Example 1 and by 0.13 % in Example 2 (with weight on e alone)",
         transcribed(Reading(weights=(0.0, 0.0, 1.0))),
@@ -119,8 +119,8 @@ ERRATA: Final = (
         "(22), (37)",
         "G W G' = 0.1, G_o = B_o",
         "G W G' = 0.1·I(3), the column G_o = B",
-        "a number is no 3 by 3 matrix, and B_o of (25) has 3 rows where G_o needs 2. With noise on "
-        "all three states the claims of both examples come out; with noise on the disturbance alone they do not",
+        "a number is not a 3 by 3 matrix, and B_o of (25) has 3 rows where G_o needs 2. With noise on "
+        "all three states the claims of both examples hold; with noise on the disturbance alone they do not",
         "read as diag(0, 0, 0.1): the speed stage of Example 2 is unstable, thousands of mm/s, and ends only because "
         "the change-over comes",
         transcribed(Reading(process_variance=(0.0, 0.0, 0.1))),
@@ -177,7 +177,7 @@ ERRATA: Final = (
         "(15)",
         "Σ to k - 1 in u_p(k+1)",
         "Σ to k, as in (33), whose + f22 p is e(k)",
-        "f22 p cancels f11 v T_s: that is how (19) comes about",
+        "f22 p cancels f11 v T_s: that is how (19) arises",
         "the conventional law's effort falls by f11 v T_s at the change-over",
         lambda example, sensor: ConventionalTwoStage(
             example.model, example.gains, speed_sensor(sensor), sum_as_printed=True
@@ -190,7 +190,7 @@ ERRATA: Final = (
         "w for the noise on the plant, for that of the extended model, and for the third state",
         "two noises, and the disturbance as the third state",
         "a state cannot be its own driving noise; (28) has a noise on each of the three states",
-        "none: a name for three things",
+        "none: one name for three things",
     ),
     Erratum(
         16,
