@@ -4,7 +4,7 @@ import pytest
 
 pytest.importorskip("mkdocs", reason="it comes with the extra docs")
 
-from tools.docs_site.hooks import from_top, to_top, typeset
+from tools.docs_site.hooks import from_top, to_top, typeset, without_roles
 
 
 @pytest.mark.parametrize(
@@ -46,3 +46,17 @@ def test_an_equation_is_typeset_with_its_number_beside_it() -> None:
     assert block.endswith('<p class="equation-number">(1)</p>')
     assert "tag" not in block
     assert 'display="inline"' in typeset("u", block=False)
+
+
+@pytest.mark.parametrize(
+    ("docstring", "shown"),
+    [
+        ("see :class:<code>~a.b.Drive</code>", "see <code>Drive</code>"),
+        ("see :meth:<code>Law.stop</code>", "see <code>Law.stop</code>"),
+        ("see <code>~a.b</code>", "see <code>~a.b</code>"),
+        ('<p>by its name::</p>\n<div class="highlight">', '<p>by its name:</p>\n<div class="highlight">'),
+        ("<p>the key a::</p>\n<p>", "<p>the key a::</p>\n<p>"),
+    ],
+)
+def test_the_reference_shows_the_names_in_sphinx_roles(docstring: str, shown: str) -> None:
+    assert without_roles(docstring) == shown

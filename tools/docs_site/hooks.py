@@ -1,7 +1,8 @@
 """Hooks of MkDocs: pages from the top of the tree, and equations without a script in the reader's browser.
 
 README.md, CONTRIBUTING.md and CHANGELOG.md stay where everybody looks for them; here they become pages of the site, and
-links to and from them are turned. Equations become MathML as the page is built.
+their links are adapted. Equations become MathML as the page is built. Docstrings are written with Sphinx's roles, which
+Markdown does not know: the reference shows only the names in them.
 """
 
 import html
@@ -21,6 +22,8 @@ PAGES: Final = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "
 _LINK: Final = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
 _EQUATION: Final = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 _TAG: Final = re.compile(r"\\tag\{([^}]*)\}")
+_ROLE: Final = re.compile(r":(?:attr|class|data|exc|func|meth|mod):<code>(?:~[\w.]*\.)?([^<]*)</code>")
+_LITERAL_BLOCK: Final = re.compile(r"::(?=</p>\s*<(?:div|pre)\b)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -37,8 +40,9 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
 
 
 def on_page_content(content: str, page: Page, config: MkDocsConfig, files: Files) -> str:  # noqa: ARG001 - likewise
-    """Typeset a page's equations."""
-    return _EQUATION.sub(lambda found: typeset(html.unescape(found[2]), block=found[1] == "div"), content)
+    """Typeset a page's equations, and leave only names of the roles in its docstrings."""
+    content = _EQUATION.sub(lambda found: typeset(html.unescape(found[2]), block=found[1] == "div"), content)
+    return without_roles(content)
 
 
 def from_top(link: str) -> str:
@@ -53,6 +57,11 @@ def to_top(link: str) -> str:
     steps, name = path[: path.rfind("../") + 3] if "../" in path else "", path.rpartition("../")[2]
     # A page in docs/ leaves it by its last step up.
     return f"{steps.removesuffix('../')}{PAGES[name]}{mark}{place}" if steps and name in PAGES else link
+
+
+def without_roles(content: str) -> str:
+    """Return a page without Sphinx's markup: a role becomes its name, a tilde leaves the last part of it."""
+    return _LITERAL_BLOCK.sub(":", _ROLE.sub(r"<code>\1</code>", content))
 
 
 def typeset(latex: str, *, block: bool) -> str:
