@@ -56,6 +56,7 @@ def test_an_equation_is_typeset_with_its_number_beside_it() -> None:
         ("see <code>~a.b</code>", "see <code>~a.b</code>"),
         ('<p>by its name::</p>\n<div class="highlight">', '<p>by its name:</p>\n<div class="highlight">'),
         ("<p>the key a::</p>\n<p>", "<p>the key a::</p>\n<p>"),
+        ('<p>::</p>\n<div class="highlight">', '\n<div class="highlight">'),
     ],
 )
 def test_the_reference_shows_the_names_in_sphinx_roles(docstring: str, shown: str) -> None:

@@ -23,7 +23,7 @@ _LINK: Final = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
 _EQUATION: Final = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
 _TAG: Final = re.compile(r"\\tag\{([^}]*)\}")
 _ROLE: Final = re.compile(r":(?:attr|class|data|exc|func|meth|mod):<code>(?:~[\w.]*\.)?([^<]*)</code>")
-_LITERAL_BLOCK: Final = re.compile(r"::(?=</p>\s*<(?:div|pre)\b)")
+_LITERAL_BLOCK: Final = re.compile(r"(?:<p>:|(?<=\S):):</p>(?=\s*<(?:div|pre)\b)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -61,7 +61,8 @@ def to_top(link: str) -> str:
 
 def without_roles(content: str) -> str:
     """Return a page without Sphinx's markup: a role becomes its name, a tilde leaves the last part of it."""
-    return _LITERAL_BLOCK.sub(":", _ROLE.sub(r"<code>\1</code>", content))
+    content = _ROLE.sub(r"<code>\1</code>", content)
+    return _LITERAL_BLOCK.sub(lambda found: "" if found[0].startswith("<") else ":</p>", content)
 
 
 def typeset(latex: str, *, block: bool) -> str:

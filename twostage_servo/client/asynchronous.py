@@ -162,7 +162,7 @@ class AsyncServoClient:
             await self.close()
 
     async def close(self) -> None:
-        """Give control authority back and leave; what was asked for goes on."""
+        """Release control authority and disconnect; motions under way continue."""
         try:
             if self._authority.asked_for:
                 with contextlib.suppress(ServoError):
@@ -171,11 +171,11 @@ class AsyncServoClient:
             self._connection.close()
 
     async def status(self) -> Status:
-        """Return how the service and its axes are."""
+        """Return the state of the service and its axes."""
         return await self._run(self._verbs.status())
 
     def watch(self, every: int = 10) -> AsyncGenerator[Status, None]:
-        """Yield a snapshot every so many ticks, over a connection of its own, until the generator is closed."""
+        """Yield a status every so many ticks, over a separate connection, until the generator is closed."""
         return self._snapshots(self._verbs.watch(every))
 
     async def _snapshots(self, watch: WatchRequest) -> AsyncGenerator[Status, None]:
@@ -198,7 +198,7 @@ class AsyncServoClient:
         return await self._run(self._verbs.acquire(preempt=preempt))
 
     async def release(self) -> Status:
-        """Give control authority back; what was asked for goes on."""
+        """Release control authority; motions under way continue."""
         return await self._run(self._verbs.release())
 
     async def arm(self) -> Status:
@@ -206,7 +206,7 @@ class AsyncServoClient:
         return await self._run(self._verbs.arm())
 
     async def disarm(self) -> Status:
-        """Bring the axis to rest and disable the drive; return when that is seen to be off."""
+        """Bring the axis to rest and disable the drive; return when the drive reports that it is disabled."""
         return await self._run(self._verbs.disarm())
 
     async def stop(self, *, quick: bool = False, wait: bool = True) -> Status:
@@ -221,7 +221,7 @@ class AsyncServoClient:
         return await self._run(self._verbs.reset())
 
     async def reload(self) -> Status:
-        """Let the service read its configuration again, while the axis is disarmed."""
+        """Make the service read its configuration again, while the axis is disarmed."""
         return await self._run(self._verbs.reload())
 
     async def move(
@@ -255,7 +255,7 @@ class AsyncServoClient:
         timeout: float | None = None,  # noqa: ASYNC109 - likewise
         progress: Progress | None = None,
     ) -> Status:
-        """Look for the reference, and return when it is found; with a position, say that the axis stands there."""
+        """Search for the reference and return when it is found; with a position, declare the present one instead."""
         return await self._run(self._verbs.home(position, timeout_s=timeout, progress=progress))
 
     async def wait_until_reached(
@@ -264,11 +264,11 @@ class AsyncServoClient:
         *,
         progress: Progress | None = None,
     ) -> Status:
-        """Return when the motion that is under way has reached its end."""
+        """Return when the motion under way has ended."""
         return await self._run(self._verbs.wait_until_reached(timeout_s=timeout, progress=progress))
 
     async def wait_until_settled(self) -> Status:
-        """Return when no axis brakes, and each drive that was told to disable is seen to be off."""
+        """Return when no axis brakes and each drive that was told to disable reports that it is disabled."""
         return await self._run(self._verbs.settled())
 
     async def jog(self, velocity: float, seconds: float = math.inf, *, progress: Progress | None = None) -> Status:

@@ -94,7 +94,7 @@ class ServoClient:
             self.close()
 
     def close(self) -> None:
-        """Give control authority back and leave; what was asked for goes on."""
+        """Release control authority and disconnect; motions under way continue."""
         try:
             if self._authority.asked_for:
                 with contextlib.suppress(ServoError):
@@ -110,11 +110,11 @@ class ServoClient:
     # Looking ---------------------------------------------------------------------------------------------------------
 
     def status(self) -> Status:
-        """Return how the service and its axes are."""
+        """Return the state of the service and its axes."""
         return self._run(self._verbs.status())
 
     def watch(self, every: int = 10) -> Generator[Status, None, None]:
-        """Yield a snapshot every so many ticks, over a connection of its own, until the iterator is closed."""
+        """Yield a status every so many ticks, over a separate connection, until the iterator is closed."""
         return self._snapshots(self._verbs.watch(every))
 
     def _snapshots(self, watch: WatchRequest) -> Generator[Status, None, None]:
@@ -137,7 +137,7 @@ class ServoClient:
         return self._run(self._verbs.acquire(preempt=preempt))
 
     def release(self) -> Status:
-        """Give control authority back; what was asked for goes on."""
+        """Release control authority; motions under way continue."""
         return self._run(self._verbs.release())
 
     # Commands --------------------------------------------------------------------------------------------------------
@@ -147,7 +147,7 @@ class ServoClient:
         return self._run(self._verbs.arm())
 
     def disarm(self) -> Status:
-        """Bring the axis to rest and disable the drive; return when that is seen to be off."""
+        """Bring the axis to rest and disable the drive; return when the drive reports that it is disabled."""
         return self._run(self._verbs.disarm())
 
     def stop(self, *, quick: bool = False, wait: bool = True) -> Status:
@@ -162,7 +162,7 @@ class ServoClient:
         return self._run(self._verbs.reset())
 
     def reload(self) -> Status:
-        """Let the service read its configuration again, while the axis is disarmed."""
+        """Make the service read its configuration again, while the axis is disarmed."""
         return self._run(self._verbs.reload())
 
     def move(
@@ -207,15 +207,15 @@ class ServoClient:
     def home(
         self, position: float | None = None, *, timeout: float | None = None, progress: Progress | None = None
     ) -> Status:
-        """Look for the reference, and return when it is found; with a position, say that the axis stands there."""
+        """Search for the reference and return when it is found; with a position, declare the present one instead."""
         return self._run(self._verbs.home(position, timeout_s=timeout, progress=progress))
 
     def wait_until_reached(self, timeout: float | None = None, *, progress: Progress | None = None) -> Status:
-        """Return when the motion that is under way has reached its end."""
+        """Return when the motion under way has ended."""
         return self._run(self._verbs.wait_until_reached(timeout_s=timeout, progress=progress))
 
     def wait_until_settled(self) -> Status:
-        """Return when no axis brakes, and each drive that was told to disable is seen to be off."""
+        """Return when no axis brakes and each drive that was told to disable reports that it is disabled."""
         return self._run(self._verbs.settled())
 
     def jog(self, velocity: float, seconds: float = math.inf, *, progress: Progress | None = None) -> Status:

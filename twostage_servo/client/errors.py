@@ -13,12 +13,12 @@ class ServoError(Exception):
     ::
 
         ServoError
-        ├── Refused        the service does not carry a request out; `code` says why
-        ├── Tripped        the axis has tripped; `trip` says why, `status` how it is now
-        ├── Interrupted    a motion has ended before its time: stopped, or replaced by another one
-        ├── TimedOut       a motion has not ended within the time that it was given; it goes on
-        ├── Unreachable    no service answers, or none that is to be trusted
-        └── ConfigError    what should name the service does not
+        ├── Refused        the service refuses a request; `code` says why
+        ├── Tripped        the axis has tripped; `trip` says why, `status` has its present state
+        ├── Interrupted    a motion has ended early: stopped, or replaced by another one
+        ├── TimedOut       a motion has not ended within its time limit; it continues
+        ├── Unreachable    no service answers, or its socket cannot be trusted
+        └── ConfigError    the given path or configuration names no service
     """
 
     def __init__(self, code: str, message: str) -> None:

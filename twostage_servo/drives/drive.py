@@ -13,17 +13,17 @@ from twostage_servo.drives.frame import ReceivedFrame, SentFrame
 from twostage_servo.drives.start_up import StartUpStep
 
 Report: TypeAlias = Feedback | Heartbeat | IndexMark | ForeignCommand
-"""What one frame comes to."""
+"""What a decoded frame can report."""
 
 Decoder: TypeAlias = Callable[[ReceivedFrame], Report | None]
-"""Reads a frame; None where it says nothing to the axis.
+"""Decodes a frame; returns None if it does not concern the axis.
 
 Raises :class:`~twostage_servo.drives.frame.FrameRejected` and nothing else, whatever the frame.
 """
 
 
 class Drive(Protocol):
-    """One axis' drive, from the controller's end. What it remembers is this axis' alone."""
+    """The drive of one axis, as the controller sees it. Its state belongs to this axis only."""
 
     @property
     def traits(self) -> DriveTraits:
@@ -31,31 +31,31 @@ class Drive(Protocol):
 
     @property
     def feedback_id(self) -> Identifier:
-        """Identifier of the frame that brings the position."""
+        """Identifier of the frame with the position."""
 
     @property
     def command_id(self) -> Identifier:
-        """Identifier of the frame that takes the effort."""
+        """Identifier of the frame with the effort."""
 
     @property
     def decoders(self) -> Mapping[Identifier, Decoder]:
-        """Everything that the controller listens to.
+        """The decoder for each identifier that the controller listens to.
 
-        A command to the drive, which only somebody else can have sent, comes to a
+        A command to the drive, which only another node can have sent, gives a
         :class:`~twostage_servo.axis.messages.ForeignCommand`.
         """
 
     @property
     def obeyed(self) -> Collection[Identifier]:
-        """Those of them that the drive obeys; not listened to on a bus that brings a sender's own frames back."""
+        """Those identifiers that the drive obeys; ignored on a bus that returns a sender's own frames."""
 
     @property
     def start_up(self) -> Sequence[StartUpStep]:
-        """What has to be sent and heard before the drive can be used; empty for a drive that needs nothing."""
+        """What to send and to expect before the drive can be used; empty for a drive that needs nothing."""
 
     @property
     def dead_host(self) -> str:
-        """By which time-out the drive stops when the controller has died, and how it is set: ends a sentence."""
+        """The time-out by which the drive stops when the controller has died, and how to set it: ends a sentence."""
 
     def encode(self, command: Command) -> Sequence[tuple[Identifier, bytes]]:
         """Make the frames of a command: pairs as in :class:`~twostage_servo.drives.frame.SentFrame`, for every tick.
@@ -69,14 +69,14 @@ class Drive(Protocol):
         """
 
     def cyclic_frames(self, tick_s: float, heartbeat_s: float, /) -> Sequence[CyclicFrame]:
-        """Return what controller and drive exchange for ever, on a tick of so many s.
+        """Return what controller and drive exchange cyclically, on a tick of so many s.
 
-        A heartbeat is taken to come every `heartbeat_s`. What comes once, as in homing or at the start, is left out.
+        A heartbeat is assumed every `heartbeat_s`. Frames that occur once, as in homing or at the start, are left out.
         """
 
 
 class DriveSide(Protocol):
-    """The drive's own end of the same frames, for a simulated drive. What it remembers is this drive's alone."""
+    """The drive's end of the same frames, for a simulated drive. Its state belongs to this drive only."""
 
     @property
     def identifiers(self) -> Sequence[Identifier]:
@@ -100,7 +100,7 @@ class DriveSide(Protocol):
         """
 
     def answers(self) -> Sequence[SentFrame]:
-        """Return, once, what the drive has to answer to the frames that were no commands."""
+        """Return, once, the drive's answers to the frames that were no commands."""
 
     def feedback(self, feedback: Feedback, /) -> Sequence[SentFrame]:
         """Make the frames that report a feedback; a counter is reduced by its modulus."""

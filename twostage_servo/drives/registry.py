@@ -1,6 +1,6 @@
-"""Which types of drives there are: one package and one entry point make one more.
+"""The installed types of drives: one package and one entry point add another.
 
-A package that brings a type declares it in its ``pyproject.toml``, by the name that ``protocol.type`` then takes::
+A package that adds a type declares it in its ``pyproject.toml``, under the name that ``protocol.type`` selects::
 
     [project.entry-points."twostage_servo.drives"]
     mine = "my_package.my_drive:DRIVE"
@@ -28,7 +28,7 @@ DriveT = TypeVar("DriveT", bound=Drive)
 
 @dataclass(frozen=True, slots=True)
 class DriveType(Generic[SettingsT, DriveT]):
-    """A type of drives: how they are made.
+    """A type of drives: how to build them.
 
     Attributes
     ----------
@@ -36,12 +36,12 @@ class DriveType(Generic[SettingsT, DriveT]):
         The class of the table ``[protocol]``, a :class:`~twostage_servo.drives.settings.DriveSettings`.
     build
         ``build(settings, folder of the configuration, unit of the axis, whether the frames are CAN FD ones)`` makes a
-        drive; what does not fit is a :class:`~twostage_servo.drives.protocol_error.ProtocolError`.
+        drive; it raises :class:`~twostage_servo.drives.protocol_error.ProtocolError` for what does not fit.
     side
-        Makes the drive's own end of it, for the simulated drive.
+        Builds the drive's end of it, for the simulated drive.
     check_unchanged
-        ``check_unchanged(settings, folder, traits)`` raises a ProtocolError if a file that describes the drive is not
-        the one any more from which those traits come.
+        ``check_unchanged(settings, folder, traits)`` raises a ProtocolError if a file that describes the drive has
+        changed since those traits were read from it.
     """
 
     settings: type[SettingsT]
