@@ -39,7 +39,7 @@ class Watched:
         )
 
     def awaits_proof(self) -> bool:
-        return self.watch.awaits_proof
+        return self.watch.known.awaits_proof
 
     def silent(self, ticks: int) -> list[str | None]:
         return [self.tick() for _ in range(ticks)]
@@ -54,7 +54,7 @@ def told_beyond(watched: Watched, allowed: float, ticks: int, place: float = 0.0
         other.homed, other.counts_boots = watched.homed, watched.counts_boots
         other.silent(ticks - 1)
         assert other.tick(place + way * (allowed - 1e-6)) is None
-        assert other.watch._beyond == 0
+        assert other.watch.known.beyond == 0
     watched.silent(ticks - 1)
     assert watched.tick(place + allowed + 1e-6) is None  # one is a spike
     reason = watched.tick(place + 10.0 * allowed)
@@ -82,7 +82,7 @@ def test_missed_ticks_are_time_as_well() -> None:
     watched = Watched()
     watched.tick(0.0)
     assert watched.tick(6.0 * A_TICK, missed=4) is None
-    assert watched.watch._beyond == 0
+    assert watched.watch.known.beyond == 0
 
 
 @pytest.mark.parametrize("resolution", [0.1, 1.0])
@@ -90,7 +90,7 @@ def test_steps_of_the_encoder_are_allowed_besides(resolution: float) -> None:
     watched = Watched(resolution)
     watched.tick(0.0)
     assert watched.tick(2.0 * A_TICK + GATE + 2.0 * resolution - 1e-6) is None
-    assert watched.watch._beyond == 0
+    assert watched.watch.known.beyond == 0
 
 
 def test_a_first_sample_is_no_motion_wherever_it_is() -> None:
@@ -119,7 +119,7 @@ def test_the_shorter_way_round_a_counter_is_how_far_it_has_moved() -> None:
     watched = Watched(distance=lambda before, now: math.remainder(now - before, 100.0))
     watched.tick(49.0)
     assert [watched.tick(-49.0), watched.tick(-49.0)] == [None, None]
-    assert watched.watch._place == -49.0
+    assert watched.watch.known.place == -49.0
 
 
 # After a long silence of an axis that was homed ----------------------------------------------------------------------

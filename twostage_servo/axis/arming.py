@@ -57,7 +57,7 @@ class Obstacles:
         """Return code and text of what is in the way, or None."""
         if self._disabled_ticks < _DISABLED_TICKS:
             return RefusalCode.STILL_ENABLED, "the drive is only just being disabled: ask again."
-        if self._count.awaits_proof and not self._drive.is_stale:
+        if self._count.known.awaits_proof and not self._drive.is_stale:
             return (
                 RefusalCode.HEARTBEAT_LOST,
                 "no heartbeat has come since the drive was silent, to say whether it has rebooted: ask again.",

@@ -11,6 +11,7 @@ its count. A silence is long when an armed axis trips by it in any case.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from twostage_servo.axis.design import AxisDesign
 
@@ -19,6 +20,40 @@ _SAMPLES_BEYOND = 2
 
 _JITTER_TICKS = 1
 """Ticks by which the time between two samples may be longer than it seems."""
+
+
+@dataclass(slots=True)
+class CountHistory:
+    """What has been seen of the count: all of it goes on when the settings change.
+
+    Attributes
+    ----------
+    range_s
+        For how long the axis may go on at `speed` without being seen, in s.
+    place
+        The last sample that was believed, in axis unit; None before the first.
+    ticks
+        Ticks since then.
+    silent_ticks
+        Ticks since the last sample.
+    longest_silence
+        The longest time without a sample since the one that was believed, in ticks.
+    beyond
+        Samples in a row, up to now, that are too far away.
+    speed
+        Largest speed that the axis may have had at the sample that was believed, in axis unit/s.
+    awaits_proof
+        Whether only the drive's next heartbeat will say whether it is still the one that it was.
+    """
+
+    range_s: float
+    place: float | None = None
+    ticks: int = 0
+    silent_ticks: int = 0
+    longest_silence: int = 0
+    beyond: int = 0
+    speed: float = 0.0
+    awaits_proof: bool = False
 
 
 class CountWatch:
@@ -35,14 +70,11 @@ class CountWatch:
 
     Attributes
     ----------
-    awaits_proof
-        Whether only the drive's next heartbeat will say whether it is still the one that it was.
+    known
+        What it has seen so far.
     """
 
-    __slots__ = (
-        "_beyond", "_design", "_distance", "_driven_s", "_long_silence", "_longest_silence", "_place",
-        "_range_s", "_silent_ticks", "_speed", "_ticks", "_tolerance", "awaits_proof",
-    )  # fmt: skip
+    __slots__ = ("_design", "_distance", "_driven_s", "_long_silence", "_tolerance", "known")
 
     def __init__(self, design: AxisDesign, resolution: float, distance: Callable[[float, float], float]) -> None:
         settings = design.settings
@@ -51,14 +83,7 @@ class CountWatch:
         self._tolerance = design.sample_tolerance(resolution)
         self._long_silence = design.ticks(settings.limits.stale_feedback_ms) + settings.limits.missed_ticks
         self._driven_s = 1e-3 * settings.arming_timeout_ms
-        self._place: float | None = None  # the last sample that was believed
-        self._ticks = 0  # since the one that was believed
-        self._silent_ticks = 0  # since the last sample
-        self._longest_silence = 0  # in ticks, since the one that was believed
-        self._beyond = 0  # samples in a row, up to now, that are too far away
-        self._speed = 0.0  # largest speed that the axis may have had at the sample that was believed
-        self._range_s = design.coasting_s  # for how long it may go on at that speed without being seen
-        self.awaits_proof = False
+        self.known = CountHistory(range_s=design.coasting_s)
 
     def update(
         self, missed: int, position: float | None, speed: float, *, driven: bool, homed: bool, counts_boots: bool
@@ -85,81 +110,81 @@ class CountWatch:
         str or None
             Why the place of the axis is no longer known, if something shows that in this tick.
         """
-        self._ticks += 1 + missed
-        self._silent_ticks += 1 + missed
+        known = self.known
+        known.ticks += 1 + missed
+        known.silent_ticks += 1 + missed
         reason = self._check_silence(homed=homed, counts_boots=counts_boots)
         if position is None:
             return reason
-        self._longest_silence = max(self._longest_silence, self._silent_ticks)
+        known.longest_silence = max(known.longest_silence, known.silent_ticks)
         reason = self._check_count(position, homed=homed) or reason
-        if not self._beyond:
+        if not known.beyond:
             self._believe(position, speed, driven=driven)
-        self._silent_ticks = 0
+        known.silent_ticks = 0
         return reason
 
     def restart(self) -> None:
         """Begin afresh: the drive says that it has booted."""
-        self._place = None
-        self._beyond = 0
-        self.awaits_proof = False
+        self.known.place = None
+        self.known.beyond = 0
+        self.known.awaits_proof = False
 
     def confirm_count(self) -> None:
         """Accept an unchanged boot count as proof that the drive still counts; in a silence it proves nothing yet."""
-        if self._silent_ticks == 0:
-            self.awaits_proof = False
+        if self.known.silent_ticks == 0:
+            self.known.awaits_proof = False
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
-        if self._place is not None:
-            self._place += distance
+        if self.known.place is not None:
+            self.known.place += distance
 
     def continue_from(self, former: "CountWatch") -> None:
         """Continue from the state of a former one on the same encoder."""
-        for name in (
-            "_beyond", "_longest_silence", "_place", "_range_s", "_silent_ticks", "_speed", "_ticks", "awaits_proof",
-        ):  # fmt: skip
-            setattr(self, name, getattr(former, name))
+        self.known = replace(former.known)
 
     def _check_silence(self, *, homed: bool, counts_boots: bool) -> str | None:
-        if self._place is None or self._silent_ticks <= self._long_silence or not homed or self.awaits_proof:
+        known = self.known
+        if known.place is None or known.silent_ticks <= self._long_silence or not homed or known.awaits_proof:
             return None
         if counts_boots:
-            self.awaits_proof = True
+            known.awaits_proof = True
             return None
         return (
-            f"no feedback has come for {self._ms(self._silent_ticks)} ms, more than the {self._ms(self._long_silence)} "
+            f"no feedback has come for {self._ms(known.silent_ticks)} ms, more than the {self._ms(self._long_silence)} "
             "ms of axis.limits.stale_feedback_ms and missed_ticks; the drive "
             "has no boot counter that would prove that it was not switched off meanwhile and counts anew"
         )
 
     def _check_count(self, position: float, *, homed: bool) -> str | None:
-        if self._place is None:
+        known = self.known
+        if known.place is None:
             return None
-        moved = self._distance(self._place, position)
-        unseen_s = (self._ticks + _JITTER_TICKS) * self._design.period_s
+        moved = self._distance(known.place, position)
+        unseen_s = (known.ticks + _JITTER_TICKS) * self._design.period_s
         allowed, by = unseen_s * self._design.settings.limits.overspeed, "axis.limits.overspeed allows"
-        if homed and self._longest_silence > self._long_silence and self._speed * self._range_s < allowed:
-            allowed, by = self._speed * self._range_s, "an axis does that comes to rest by itself"
+        if homed and known.longest_silence > self._long_silence and known.speed * known.range_s < allowed:
+            allowed, by = known.speed * known.range_s, "an axis does that comes to rest by itself"
         allowed += self._tolerance
-        self._beyond = self._beyond + 1 if abs(moved) > allowed else 0
-        if self._beyond < _SAMPLES_BEYOND:
+        known.beyond = known.beyond + 1 if abs(moved) > allowed else 0
+        if known.beyond < _SAMPLES_BEYOND:
             return None
-        self._beyond = 0
+        known.beyond = 0
         unit = self._design.settings.unit
         return (
-            f"what the encoder counts has moved by {moved:+.4g} {unit} within {self._ms(self._ticks)} ms, the longest "
-            f"silence in which was {self._ms(self._longest_silence)} ms; that is more than the {allowed:.4g} {unit} "
+            f"what the encoder counts has moved by {moved:+.4g} {unit} within {self._ms(known.ticks)} ms, the longest "
+            f"silence in which was {self._ms(known.longest_silence)} ms; that is more than the {allowed:.4g} {unit} "
             f"that {by}: the drive may have been switched off and counts anew, or the axis was moved unseen"
         )
 
     def _believe(self, position: float, speed: float, *, driven: bool) -> None:
         shown = 0.0
-        if self._place is not None:
-            shown = abs(self._distance(self._place, position)) / (self._ticks * self._design.period_s)
-        self._speed = min(max(speed, shown), self._design.settings.limits.overspeed)
-        self._range_s = self._design.coasting_s + (self._driven_s if driven else 0.0)
-        self._place = position
-        self._ticks = self._longest_silence = 0
+        if self.known.place is not None:
+            shown = abs(self._distance(self.known.place, position)) / (self.known.ticks * self._design.period_s)
+        self.known.speed = min(max(speed, shown), self._design.settings.limits.overspeed)
+        self.known.range_s = self._design.coasting_s + (self._driven_s if driven else 0.0)
+        self.known.place = position
+        self.known.ticks = self.known.longest_silence = 0
 
     def _ms(self, ticks: int) -> str:
         return f"{1e3 * self._design.period_s * ticks:g}"

@@ -5,6 +5,7 @@ can be relied on. An axis that moves although its drive is off may be pushed by 
 """
 
 import math
+from dataclasses import dataclass, replace
 
 from twostage_servo.axis.design import DISABLING_TICKS, AxisDesign
 
@@ -19,6 +20,65 @@ _LONGEST_GAP = 0.2
 
 _ROUND_TRIP_TICKS = 2
 """Ticks that a report needs in any case, beside the time that the drive has: until the command leaves, and back."""
+
+
+@dataclass(slots=True)
+class DisabledMotion:
+    """What has been seen of the motion: all of it goes on when the settings change.
+
+    Attributes
+    ----------
+    speed
+        Largest speed of the coasting axis, `ticks` ago, in axis unit/s.
+    anchor
+        Where it is measured from, in axis unit; None before the first sample.
+    last
+        The last sample, in axis unit.
+    samples, ticks, ticks_since_last
+        Samples since the beginning; ticks since the speed was taken, and since the last sample.
+    beyond
+        Samples in a row, up to now, that coasting does not explain.
+    settled
+        Whether the axis has come to rest.
+    moved
+        How far it has moved beyond what coasting explains, in axis unit; None where nothing shows that.
+    """
+
+    speed: float = 0.0
+    anchor: float | None = None
+    last: float = 0.0
+    samples: int = 0
+    ticks: int = 0
+    ticks_since_last: int = 0
+    beyond: int = 0
+    settled: bool = False
+    moved: float | None = None
+
+
+@dataclass(slots=True)
+class DisabledReports:
+    """What the drive has said since it was told to disable: all of it goes on when the settings change.
+
+    Attributes
+    ----------
+    reported
+        What it said last: whether it is enabled; None before it has.
+    ticks_silent, ticks_since_report
+        Ticks in which it said nothing, and those since the last report that were not missed.
+    ticks_told
+        Ticks since it was told to disable; None while it is told to be enabled.
+    ticks_enabled
+        Ticks since then in which it said that it is enabled.
+    ticks_disabled
+        Ticks in a row in which it said that it is not.
+    """
+
+    reported: bool | None = None
+    ticks_silent: int = 0
+    ticks_since_report: int = 0
+    ticks_told: int | None = None
+    ticks_enabled: int = 0
+    ticks_disabled: int = 0
 
 
 class MotionWhileDisabled:
@@ -37,14 +97,11 @@ class MotionWhileDisabled:
 
     Attributes
     ----------
-    moved
-        How far the axis has moved beyond what coasting explains, in axis unit; None where nothing shows that.
+    known
+        What it has seen so far.
     """
 
-    __slots__ = (
-        "_anchor", "_beyond", "_coasting_s", "_last", "_overspeed", "_period_s", "_pole", "_samples", "_settled",
-        "_speed", "_ticks", "_ticks_since_last", "_tolerance", "moved",
-    )  # fmt: skip
+    __slots__ = ("_coasting_s", "_overspeed", "_period_s", "_pole", "_tolerance", "known")
 
     def __init__(self, design: AxisDesign, resolution: float) -> None:
         self._period_s = design.period_s
@@ -52,70 +109,62 @@ class MotionWhileDisabled:
         self._coasting_s = design.coasting_s
         self._overspeed = design.settings.limits.overspeed
         self._tolerance = design.sample_tolerance(resolution)
-        self.moved: float | None = None
-        self.begin(0.0)
+        self.known = DisabledMotion()
 
     def begin(self, velocity: float) -> None:
         """Begin anew: the drive is told to disable now, at an estimated velocity in axis unit/s."""
-        self._speed = abs(velocity)
-        self._anchor: float | None = None
-        self._last = 0.0
-        self._samples = self._ticks = self._ticks_since_last = self._beyond = 0
-        self._settled = False
-        self.moved = None
+        self.known = DisabledMotion(speed=abs(velocity))
 
     def update(self, missed: int, position: float | None) -> None:
         """Check a tick, before which so many were missed, with its sample in axis unit, None if there is none."""
-        self._ticks += 1 + missed
-        self._ticks_since_last += 1 + missed
+        known = self.known
+        known.ticks += 1 + missed
+        known.ticks_since_last += 1 + missed
         if position is None:
             return
-        last, ticks = self._last, self._ticks_since_last
-        self._last, self._ticks_since_last = position, 0
-        self._samples += 1
-        if self._anchor is None:
-            self._anchor = position
+        last, ticks = known.last, known.ticks_since_last
+        known.last, known.ticks_since_last = position, 0
+        known.samples += 1
+        if known.anchor is None:
+            known.anchor = position
             return
-        if self._samples <= _SPEED_SAMPLES:
+        if known.samples <= _SPEED_SAMPLES:
             # It has been slowing down between the two samples: a mean speed over a gap is not that at its beginning.
             slowing = self._pole * ticks * self._period_s
-            self._speed = max(self._speed, abs(position - last) * self._pole / -math.expm1(-slowing))
-            self._ticks = 0
-        self._beyond = self._beyond + 1 if abs(position - self._anchor) > self._allowed() else 0
-        if self._beyond >= _SAMPLES_BEYOND or self.moved is not None:
-            self.moved = position - self._anchor
-        elif not self._settled and self._is_at_rest():
-            self._settled, self._anchor = True, position
+            known.speed = max(known.speed, abs(position - last) * self._pole / -math.expm1(-slowing))
+            known.ticks = 0
+        known.beyond = known.beyond + 1 if abs(position - known.anchor) > self._allowed() else 0
+        if known.beyond >= _SAMPLES_BEYOND or known.moved is not None:
+            known.moved = position - known.anchor
+        elif not known.settled and self._is_at_rest():
+            known.settled, known.anchor = True, position
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
-        self._last += distance
-        if self._anchor is not None:
-            self._anchor += distance
+        self.known.last += distance
+        if self.known.anchor is not None:
+            self.known.anchor += distance
 
     def continue_from(self, former: "MotionWhileDisabled") -> None:
         """Continue from the state of a former one on the same axis."""
-        for name in (
-            "_anchor", "_beyond", "_last", "_samples", "_settled", "_speed", "_ticks", "_ticks_since_last", "moved",
-        ):  # fmt: skip
-            setattr(self, name, getattr(former, name))
+        self.known = replace(former.known)
 
     @property
     def _start_speed(self) -> float:
         """Largest speed of the coasting axis, `_ticks` ago, in axis unit/s; beyond the limit it is the encoder's."""
-        return min(self._speed, self._overspeed)
+        return min(self.known.speed, self._overspeed)
 
     def _allowed(self) -> float:
         """Return how far the axis may be from its anchor, in axis unit."""
-        if self._settled:
+        if self.known.settled:
             return self._tolerance
         return self._start_speed * self._coasting_s + self._tolerance
 
     def _is_at_rest(self) -> bool:
         """Whether an axis that coasts is at rest by now: what it has yet to go cannot be told from a bad sample."""
         to_go = self._start_speed / (self._pole * 0.5 * self._tolerance)
-        long_enough = self._ticks * self._period_s >= math.log(max(1.0, to_go)) / self._pole
-        return long_enough and self._samples > _SPEED_SAMPLES and self._beyond == 0
+        long_enough = self.known.ticks * self._period_s >= math.log(max(1.0, to_go)) / self._pole
+        return long_enough and self.known.samples > _SPEED_SAMPLES and self.known.beyond == 0
 
 
 class DisabledDriveWatch:
@@ -137,14 +186,13 @@ class DisabledDriveWatch:
 
     Attributes
     ----------
+    known
+        What the drive has said so far.
     motion
         Whether the axis moves meanwhile.
     """
 
-    __slots__ = (
-        "_longest_gap", "_patience", "_period_s", "_reported", "_silence_allowed", "_ticks_disabled", "_ticks_enabled",
-        "_ticks_silent", "_ticks_since_report", "_ticks_told", "motion",
-    )  # fmt: skip
+    __slots__ = ("_longest_gap", "_patience", "_period_s", "_silence_allowed", "known", "motion")
 
     def __init__(self, design: AxisDesign, resolution: float = 0.0, report_period_ms: float = 0.0) -> None:
         settings = design.settings
@@ -153,19 +201,15 @@ class DisabledDriveWatch:
         self._patience = design.ticks(settings.arming_timeout_ms + report_period_ms) + _ROUND_TRIP_TICKS
         self._silence_allowed = design.ticks(max(settings.limits.stale_feedback_ms, report_period_ms))
         self._longest_gap = max(1, design.ticks(report_period_ms or _LONGEST_GAP * settings.arming_timeout_ms))
-        self._reported: bool | None = None  # what the drive said last
-        self._ticks_silent = self._ticks_since_report = 0
-        self._ticks_told: int | None = None  # since it was told to disable; None while it is told to be enabled
-        self._ticks_enabled = 0  # since then, in which it said that it is enabled
-        self._ticks_disabled = 0  # in a row, in which it said that it is not
+        self.known = DisabledReports()
 
     def release(self, report: bool | None) -> None:
         """Watch no longer: the drive is told to be enabled. What it says of itself is remembered, None if nothing."""
         if report is not None:
-            self._reported, self._ticks_silent = report, 0
-        if self._ticks_told is not None:
-            self._ticks_told = None
-            self._ticks_enabled = self._ticks_disabled = 0
+            self.known.reported, self.known.ticks_silent = report, 0
+        if self.known.ticks_told is not None:
+            self.known.ticks_told = None
+            self.known.ticks_enabled = self.known.ticks_disabled = 0
             self.motion.begin(0.0)
 
     def update(self, missed: int, report: bool | None, position: float | None, velocity: float) -> None:
@@ -182,64 +226,63 @@ class DisabledDriveWatch:
         velocity
             Estimated velocity, in axis unit/s; looked at in the first tick only.
         """
-        if self._ticks_told is None:  # the command leaves at the end of this tick
-            self._ticks_told = self._ticks_since_report = 0
-            self._reported = self._reported if report is None else report
+        if self.known.ticks_told is None:  # the command leaves at the end of this tick
+            self.known.ticks_told = self.known.ticks_since_report = 0
+            self.known.reported = self.known.reported if report is None else report
             self.motion.begin(velocity)
         else:
-            self._ticks_told += 1 + missed
+            self.known.ticks_told += 1 + missed
             self._record_report(missed, report)
         self.motion.update(missed, position)
 
     def continue_from(self, former: "DisabledDriveWatch") -> None:
         """Continue from a former watch on the same drive: the settings may have changed, the drive has not."""
-        for name in (
-            "_reported", "_ticks_disabled", "_ticks_enabled", "_ticks_silent", "_ticks_since_report", "_ticks_told",
-        ):  # fmt: skip
-            setattr(self, name, getattr(former, name))
+        self.known = replace(former.known)
         self.motion.continue_from(former.motion)
 
     def _record_report(self, missed: int, report: bool | None) -> None:
-        self._ticks_since_report += 1  # a tick that was missed told the drive nothing
+        self.known.ticks_since_report += 1  # a tick that was missed told the drive nothing
         if report is None:
-            self._ticks_silent += 1 + missed
+            self.known.ticks_silent += 1 + missed
             return
-        ticks = min(self._ticks_since_report, self._longest_gap)
-        self._reported, self._ticks_silent, self._ticks_since_report = report, 0, 0
+        ticks = min(self.known.ticks_since_report, self._longest_gap)
+        self.known.reported, self.known.ticks_silent, self.known.ticks_since_report = report, 0, 0
         if report:
-            self._ticks_enabled += ticks
-            self._ticks_disabled = 0
+            self.known.ticks_enabled += ticks
+            self.known.ticks_disabled = 0
         else:
-            self._ticks_disabled += ticks
-            if self._ticks_disabled >= self._patience:
-                self._ticks_enabled = 0
+            self.known.ticks_disabled += ticks
+            if self.known.ticks_disabled >= self._patience:
+                self.known.ticks_enabled = 0
 
     @property
     def not_disabled(self) -> bool:
         """Whether the drive has reported for too long that it is enabled, and has not reported otherwise since."""
-        return bool(self._ticks_told is not None and self._reported and self._ticks_enabled > self._patience)
+        return bool(
+            self.known.ticks_told is not None and self.known.reported and self.known.ticks_enabled > self._patience
+        )
 
     @property
     def waits(self) -> bool:
         """Whether the drive, once told to disable, still has time to report it; a silent one is not waited for."""
-        return bool(self._reported and self._ticks_silent < self._silence_allowed and not self.not_disabled)
+        return bool(self.known.reported and self.known.ticks_silent < self._silence_allowed and not self.not_disabled)
 
     @property
     def seen_enabled(self) -> bool:
         """Whether the last that the drive has said is that it is enabled, however long ago."""
-        return bool(self._reported)
+        return bool(self.known.reported)
 
     @property
     def told_ms(self) -> float:
         """How long ago the drive was told to disable, in ms; 0 while it is told to be enabled."""
-        return 1e3 * self._period_s * (self._ticks_told or 0)
+        return 1e3 * self._period_s * (self.known.ticks_told or 0)
 
     @property
     def enabled_ms(self) -> float:
         """How long it has reported since then that it is enabled, in ms."""
-        return 1e3 * self._period_s * self._ticks_enabled
+        return 1e3 * self._period_s * self.known.ticks_enabled
 
     @property
     def moved(self) -> float | None:
         """How far the axis has moved since then beyond what coasting explains, in axis unit; None: nothing shows it."""
-        return self.motion.moved
+        return self.motion.known.moved

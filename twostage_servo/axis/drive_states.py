@@ -1,13 +1,10 @@
 """Compares what a drive says of its state in two messages: the heartbeat's state and the bits of the feedback."""
 
 import math
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from twostage_servo.axis.settings import AxisSettings
-
-_KNOWLEDGE = (
-    "_claim", "_first_ticks_ago", "_heard", "_report_since_heartbeat", "_reported", "_ticks_since_change", "state",
-)  # fmt: skip
 
 
 class DriveState(NamedTuple):
@@ -47,6 +44,34 @@ def interpret(text: str) -> DriveState | None:
     return None if claims is None else DriveState(text, *claims)
 
 
+@dataclass(slots=True)
+class StatesSeen:
+    """What the two messages have said: all of it goes on when the settings change.
+
+    Attributes
+    ----------
+    reported
+        What the feedback says: whether the drive is enabled, and faulted.
+    ticks_since_change
+        Ticks since that has changed.
+    claim
+        What a heartbeat says that contradicts it; None where none does.
+    heard
+        Heartbeats that do.
+    first_ticks_ago
+        Ticks since the first of them.
+    report_since_heartbeat
+        Whether feedback has come since the latest heartbeat.
+    """
+
+    reported: tuple[bool | None, bool | None] = (None, None)
+    ticks_since_change: int = 0
+    claim: DriveState | None = None
+    heard: int = 0
+    first_ticks_ago: int = 0
+    report_since_heartbeat: bool = False
+
+
 class DriveStateComparison:
     """Finds out whether heartbeat and feedback contradict each other for longer than any change of state takes.
 
@@ -66,8 +91,8 @@ class DriveStateComparison:
 
     Attributes
     ----------
-    state
-        What the latest heartbeat claims; None before the first, and where the drive's states are not CiA 402's.
+    known
+        What the two messages have said so far.
     new
         What a heartbeat of this tick claims, if there was one.
     """
@@ -77,14 +102,8 @@ class DriveStateComparison:
         self._period_ms = period_ms
         self._patience = math.ceil(settings.limits.heartbeat_ms / period_ms)
         self._patience_told = math.ceil(settings.arming_timeout_ms / period_ms)
-        self.state: DriveState | None = None
+        self.known = StatesSeen()
         self.new: DriveState | None = None
-        self._reported: tuple[bool | None, bool | None] = (None, None)
-        self._ticks_since_change = 0
-        self._claim: DriveState | None = None  # that contradicts the feedback
-        self._heard = 0  # heartbeats that did
-        self._first_ticks_ago = 0
-        self._report_since_heartbeat = False
 
     def begin_tick(self) -> None:
         """Open a tick, in which no heartbeat has come yet."""
@@ -92,18 +111,17 @@ class DriveStateComparison:
 
     def record(self, state: DriveState | None) -> None:
         """Record the state of a heartbeat; the newest of a tick counts."""
-        self.state = self.new = state
+        self.new = state
 
     def forget(self) -> None:
         """Start afresh, as after the bus was lost."""
-        self.state = self.new = self._claim = None
-        self._heard = self._first_ticks_ago = self._ticks_since_change = 0
-        self._report_since_heartbeat = False
+        self.new = self.known.claim = None
+        self.known.heard = self.known.first_ticks_ago = self.known.ticks_since_change = 0
+        self.known.report_since_heartbeat = False
 
     def continue_from(self, former: "DriveStateComparison") -> None:
         """Continue from the state of a former comparison of the same drive."""
-        for name in _KNOWLEDGE:
-            setattr(self, name, getattr(former, name))
+        self.known = replace(former.known)
 
     def compare(
         self, missed: int, enabled: bool | None, faulted: bool | None, *, has_reported: bool, told_enabled: bool
@@ -121,38 +139,40 @@ class DriveStateComparison:
         told_enabled
             Whether the drive is told to be enabled.
         """
-        self._ticks_since_change += 1 + missed
-        self._first_ticks_ago += 1 + missed
+        known = self.known
+        known.ticks_since_change += 1 + missed
+        known.first_ticks_ago += 1 + missed
         # A drive without the bit that is told to be off has other means to say that it is not: the watch on it.
         reported = (told_enabled or None) if enabled is None else enabled, faulted
-        if reported != self._reported:
-            self._reported, self._ticks_since_change = reported, 0
-            self._claim, self._heard = None, 0
-        self._report_since_heartbeat = self._report_since_heartbeat or has_reported
+        if reported != known.reported:
+            known.reported, known.ticks_since_change = reported, 0
+            known.claim, known.heard = None, 0
+        known.report_since_heartbeat = known.report_since_heartbeat or has_reported
         state = self.new
-        if state is None or not self._report_since_heartbeat:
+        if state is None or not known.report_since_heartbeat:
             return
-        self._report_since_heartbeat = False
-        if enabled is None and self._ticks_since_change <= self._patience_told:
+        known.report_since_heartbeat = False
+        if enabled is None and known.ticks_since_change <= self._patience_told:
             return
         if not _contradicts(state, *reported):
-            self._claim, self._heard = None, 0
+            known.claim, known.heard = None, 0
             return
-        if self._claim is None:
-            self._first_ticks_ago = 0
-        self._claim = state
-        self._heard += 1
+        if known.claim is None:
+            known.first_ticks_ago = 0
+        known.claim = state
+        known.heard += 1
 
     @property
     def contradiction(self) -> str | None:
         """What the two messages say, if they contradict each other lastingly; else None."""
-        if self._claim is None or self._heard < 3 or self._first_ticks_ago < self._patience:
+        known = self.known
+        if known.claim is None or known.heard < 3 or known.first_ticks_ago < self._patience:
             return None
-        enabled, faulted = self._reported
+        enabled, faulted = known.reported
         told = {True: "enabled", False: "disabled", None: "in no known state"}[enabled]
         fault = {True: " with a fault", False: " without a fault", None: ""}[faulted]
         return (
-            f"for {self._first_ticks_ago * self._period_ms:g} ms the drive's heartbeat has said {self._claim.text!r}, "
+            f"for {known.first_ticks_ago * self._period_ms:g} ms the drive's heartbeat has said {known.claim.text!r}, "
             f"and its feedback {told}{fault}"
         )
 
