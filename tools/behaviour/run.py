@@ -1,4 +1,6 @@
-"""What the service does, frame by frame, as one hash a run: two trees that behave the same print the same.
+"""What the service does, frame by frame, as a hash a run: two trees that behave the same print the same.
+
+A demonstration has a second hash of what it prints beside its frames, which a changed sentence changes too.
 
 ``python -m tools.behaviour.run > before.txt``, then the same in the other tree, on the same machine, and ``diff`` says
 which runs differ. The runs are the demonstrations of all shipped configurations, the demo with faults that its
@@ -62,21 +64,17 @@ _SCRIPT: Final[tuple[tuple[float, dict[str, object] | str], ...]] = (
 
 
 def demonstration(configuration: str, overrides: tuple[str, ...]) -> str:
-    """Return what one demonstration prints, which holds the hash of its frames."""
+    """Return the exit code of one demonstration, the hash of its frames, and that of all else that it prints."""
     arguments = ["demo", "--fast", "--json", "--config", str(_CONFIGURATIONS / configuration)]
     for override in overrides:
         arguments += ["--set", override]
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(io.StringIO()):
         code = run_verb(arguments)
-    return f"{code} {_digest(_without_times(printed.getvalue()).encode())}"
-
-
-def _without_times(printed: str) -> str:
-    """Leave out what is measured on the processor's clock, where there is any."""
-    result = json.loads(printed)
-    result.get("ticks", {}).pop("lateness_us", None)
-    return json.dumps(result, sort_keys=True)
+    result = json.loads(printed.getvalue())
+    result.get("ticks", {}).pop("lateness_us", None)  # measured on the processor's clock, where there is any
+    frames = result.pop("trace_sha256")
+    return f"{code} frames {frames} beside {_digest(json.dumps(result, sort_keys=True).encode())}"
 
 
 async def two_axes() -> str:
