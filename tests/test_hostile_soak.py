@@ -14,7 +14,7 @@ from tools.soak import hostile
 from tools.soak.hostile_clients import HostileClients
 from tools.soak.hub_gate import HubGate, Mode
 from twostage_servo.api.requests import StopRequest
-from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.async_connection import AsyncConnection
 from twostage_servo.client.errors import Refused
 
 HELD = {"descriptors": 8, "tasks": 4, "threads": 4, "resident_mb": 80.0}

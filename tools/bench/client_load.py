@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from twostage_servo.api.requests import MoveRequest, RecordingRequest, Request, StatusRequest, WatchRequest
-from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.async_connection import AsyncConnection
 from twostage_servo.client.errors import Refused
 
 _CLIENTS: Final = 50

@@ -8,7 +8,7 @@ from pathlib import Path
 from random import Random
 
 from twostage_servo.api.requests import Request
-from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.async_connection import AsyncConnection
 from twostage_servo.client.errors import Refused, ServoError
 
 ANSWERED_WITHIN_S = 1.0

@@ -27,7 +27,7 @@ from typing import Any, Final
 from tools.soak.hub_gate import HubGate, Mode
 from twostage_servo.api.requests import ReloadRequest, Request, StopRequest
 from twostage_servo.axis.refusals import RefusalCode
-from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.async_connection import AsyncConnection
 from twostage_servo.client.errors import Refused, ServoError
 from twostage_servo.config.loader import load
 from twostage_servo.faults.bench import bench_overrides

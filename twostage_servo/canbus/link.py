@@ -1,21 +1,25 @@
 """One opened bus: a python-can interface that never waits, never keeps an old command and fails in one way only."""
 
 import asyncio
+import functools
 import logging
 import threading
 import traceback
 from collections.abc import Callable, Iterable
-from typing import Any, Final, Literal
+from typing import Final
 
 import can
 from can.interfaces.socketcan import SocketcanBus
 
+from twostage_servo.canbus import error_frames
 from twostage_servo.canbus.bus_settings import BusSettings
+from twostage_servo.canbus.error_frames import ControllerState
 from twostage_servo.canbus.frame_age import FrameAge, stamp_clock
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link_counters import LinkCounters
 from twostage_servo.canbus.link_error import LinkError, is_full, link_error
 from twostage_servo.canbus.network_interface import NetworkInterface
+from twostage_servo.canbus.open_interface import open_interface
 from twostage_servo.canbus.socketcand import SocketcandBus
 from twostage_servo.worker_thread import WorkerThread
 
@@ -24,18 +28,6 @@ __all__ = ["BusSettings", "ControllerState", "Link", "LinkCounters", "LinkError"
 _log = logging.getLogger(__name__)
 
 _USUAL_TICK_S: Final = 0.01
-_ERROR_CLASSES: Final = frozenset({"socketcan", "socketcand"})
-# Of linux/can/error.h: classes, which are bits of the identifier, and bits of byte 1 in the class of the controller.
-_CONTROLLER: Final = 0x04  # CAN_ERR_CRTL
-_BUS_OFF: Final = 0x40  # CAN_ERR_BUSOFF
-_RESTARTED: Final = 0x100  # CAN_ERR_RESTARTED
-_COUNTERS: Final = 0x200  # CAN_ERR_CNT: bytes 6 and 7 are the controller's error counters
-_PASSIVE: Final = 0x30  # CAN_ERR_CRTL_RX_PASSIVE, CAN_ERR_CRTL_TX_PASSIVE
-_WARNING: Final = 0x0C  # CAN_ERR_CRTL_RX_WARNING, CAN_ERR_CRTL_TX_WARNING
-_ACTIVE: Final = 0x40  # CAN_ERR_CRTL_ACTIVE
-
-ControllerState = Literal["active", "warning", "passive"]
-"""Fault confinement state of the CAN controller, ISO 11898-1; ``"warning"`` is an active one near its limit."""
 
 
 class Link:
@@ -83,13 +75,13 @@ class Link:
         self.error_counters: tuple[int, int] | None = None
         self.is_behind = False
         self._has_left_some = False
-        self._opener = opener or self._open_interface
         self._interface: NetworkInterface | None = None
         self._is_sending = False
         self._overflowed = 0
         self._age: FrameAge | None = None
         self._most = settings.frames_read(_USUAL_TICK_S)
         self._accepted = frozenset(identifier.identifier for identifier in accepted)
+        self._opener = opener or functools.partial(open_interface, settings, self._accepted)
         self._bus: can.BusABC | None = None
         self._thread = WorkerThread("open_bus")
 
@@ -327,23 +319,6 @@ class Link:
             raise LinkError(f"{self._name} is not open. Open it first.")
         return self._bus
 
-    def _open_interface(self) -> can.BusABC:
-        settings = self.settings
-        options: dict[str, Any] = dict(settings.options)
-        if settings.bitrate is not None and settings.interface != "socketcan":  # which takes it from 'ip link'
-            options["bitrate"] = settings.bitrate
-        if settings.fd and settings.interface == "socketcan":
-            options["fd"] = True
-        if settings.interface == "udp_multicast":
-            options.setdefault("hop_limit", 0)  # python-can's 1 would let the frames leave the host
-        filters = [{"can_id": number, "can_mask": 0x1FFFFFFF} for number in sorted(self._accepted)]
-        if settings.interface == "socketcand":
-            return SocketcandBus(str(settings.channel), can_filters=filters, **options)
-        # Without ignore_config, a can.conf somewhere on the machine would add arguments.
-        return can.Bus(
-            interface=settings.interface, channel=settings.channel, can_filters=filters, ignore_config=True, **options
-        )
-
     def _shut_down(self, bus: can.BusABC) -> None:
         try:
             bus.shutdown()
@@ -351,30 +326,19 @@ class Link:
             _log.warning("%s did not close properly: %r", self._name, error)
 
     def _take_error_frame(self, message: can.Message) -> None:
-        if self.settings.interface not in _ERROR_CLASSES:
+        if self.settings.interface not in error_frames.INTERFACES:
             self.counters.count_error("other")
             return
-        classes, data = message.arbitration_id, message.data
-        if classes & _COUNTERS and len(data) > 7:
-            self.error_counters = (data[6], data[7])
-        if classes & _BUS_OFF:
-            self.counters.count_error("bus_off")
+        error = error_frames.read_error_frame(message)
+        self.error_counters = error.counters or self.error_counters
+        self.counters.count_error(error.kind)
+        if error.is_bus_off:
             raise LinkError(
                 f"{self._name} went bus-off: too many transmit errors. Check cable, termination and bit rate, "
                 f"restart the controller with 'ip link set {self.settings.channel} type can restart', then reset the "
                 "axis."
             )
-        state: ControllerState | None = "active" if classes & _RESTARTED else None
-        if classes & _CONTROLLER and len(data) > 1:
-            status = data[1]
-            if status & _PASSIVE:
-                state = "passive"
-            elif status & _WARNING:
-                state = "warning"
-            elif status & _ACTIVE:
-                state = "active"
-        self.counters.count_error("restarted" if classes & _RESTARTED else state or "other")
-        self.controller_state = state or self.controller_state
+        self.controller_state = error.state or self.controller_state
 
     @property
     def _name(self) -> str:

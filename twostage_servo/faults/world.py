@@ -16,7 +16,7 @@ from twostage_servo.app.closed_loop import SERVICE, ClosedLoop, HeldTicks, Wires
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.canbus.link import BusSettings
-from twostage_servo.client.asynchronous import AsyncConnection
+from twostage_servo.client.async_connection import AsyncConnection
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.faults.companion import Companion
