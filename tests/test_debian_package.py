@@ -15,7 +15,8 @@ import pytest
 
 from tests.system.package_trial import differences, inventory
 from tools.debian import build as build_module
-from tools.debian.build import EXAMPLES, SCRIPTS, Stage, control_text, copyright_text, oldest_libc, pack
+from tools.debian.build import EXAMPLES, SCRIPTS, Stage, pack
+from tools.debian.control_files import control_text, copyright_text, oldest_libc
 from twostage_servo.cli.install_service import service_files
 from twostage_servo.cli.main import main
 from twostage_servo.config.machine import load_machine

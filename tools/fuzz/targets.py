@@ -9,7 +9,8 @@ import can
 from tools.fuzz.bench import Bench, BenchLoop, quiet_log
 from tools.fuzz.drives import Kind, all_drives
 from tools.fuzz.frames import compare_with_reference
-from tools.fuzz.lines import ControlSocketRig, Line, corpus
+from tools.fuzz.line_maker import Line
+from tools.fuzz.lines import ControlSocketRig, corpus
 from tools.fuzz.reproducible import reproducible
 from twostage_servo.axis.state import State
 
