@@ -318,7 +318,7 @@ def noisy(**limits: Any) -> AxisSettings:
 def test_an_axis_whose_encoder_could_lie_for_long_is_refused_unless_it_says_for_how_long() -> None:
     design = design_axis(axis_settings(position_overrun=2.0), PERIOD_S)
     with pytest.raises(
-        DesignError, match=r"is allowed\. What hides it is the noise .* 0\.1 mm .*undetected_travel"
+        DesignError, match=r"is allowed\. It is hidden by the noise .* 0\.1 mm .*undetected_travel"
     ) as caught:
         check_detection(design)
     assert caught.value.key == ("axis", "limits", "position_overrun")
@@ -332,7 +332,7 @@ def test_what_is_just_allowed_is_so_in_any_unit() -> None:
     """A velocity of 250 mm/s for four ticks of 20 ms is 20 mm; in metres it came to 2e-17 m more than 0.02 m."""
     worst = max(one.travel for one in detections(design_axis(axis_settings(), PERIOD_S)))
     check_detection(design_axis(axis_settings(position_overrun=worst * (1.0 - 1e-12)), PERIOD_S))
-    with pytest.raises(DesignError, match="noticed only after"):
+    with pytest.raises(DesignError, match="detected only after"):
         check_detection(design_axis(axis_settings(position_overrun=worst * (1.0 - 1e-6)), PERIOD_S))
 
 

@@ -483,7 +483,7 @@ def test_a_jog_ends_with_its_command(machine: Machine, number: signal.Signals) -
         assert json.loads(out)["axis"]["state"] == "holding"
         assert held["move"]["reason"] is None
     else:
-        assert "has gone, who held the jog" in held["move"]["reason"]
+        assert "has disconnected while it held the jog" in held["move"]["reason"]
 
 
 def test_a_jog_ends_at_the_limit(machine: Machine) -> None:

@@ -49,7 +49,7 @@ def test_shipped_files_are_warned_of_what_is_true_alone(capsys: pytest.CaptureFi
         ("axis.limits.following_error_time_s=11", "the trip for following error: 2750 mm are allowed"),
         ("axis.limits.innovation_gate=21", "the trip for an encoder that jumps"),
         ("axis.limits.effort_rate=1e-3", "a stop: from 250 mm/s"),
-        ("axis.window.position=60", "begins 54.53 mm before the set-point, so it counts as reached at once"),
+        ("axis.window.position=60", "begins 54.53 mm before the set-point, so it counts as reached immediately"),
         ("axis.window.position=0.0004", "the encoder has steps of 0.001 mm"),
         ("axis.limits.stall_time_ms=30000", "the trip for a stall: at its largest velocity the axis crosses"),
         ("axis.limits.stall_time_ms=501", "the trip for a stall: effort_saturation_ms is shorter"),

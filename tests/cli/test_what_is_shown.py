@@ -64,7 +64,7 @@ def test_a_verb_after_which_the_drive_should_be_off_says_that_nobody_knows_wheth
     assert run(monkeypatch, verb, shown[name])[0] == 3
     out = capsys.readouterr().out
     assert out.startswith(f"x: disarmed at unknown mm; {why}\n")
-    assert "x: it is not known whether the drive is off; its own command time-out has to have stopped it" in out
+    assert "x: it is not known whether the drive is off; its own command time-out must have stopped it" in out
     assert run(monkeypatch, verb, shown["disarmed"])[0] == 0
     assert "not known" not in capsys.readouterr().out
 

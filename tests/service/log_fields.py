@@ -15,21 +15,19 @@ FIELDS: Final[dict[str, str]] = {
     "state": "axis tick before now",
     "feedback stale": "axis tick",
     "feedback fresh": "axis tick",
-    "positions are those that the encoder counts: a place that was set before the service started is not known": (
-        "axis tick"
-    ),
+    "positions are the encoder's own: a reference that was set before the service started is not known": ("axis tick"),
     "the position is known": "axis tick",
     "the position is not known: home the axis": "axis tick reason",
     "the position is no longer known: home the axis": "axis tick reason",
     "trip": "axis tick code cause next_action",
     "trip, more severe": "axis tick code cause",
     "trip, as well": "axis tick code cause",
-    "no recording of the trip: no memory is left": "axis",
-    "the trip lasts": "axis tick code cause next_action",
-    "this lasts, and has not tripped the axis": "axis tick code cause next_action",
-    "the axis moves while its drive is told to be disabled": "axis tick moved unit",
+    "no recording of the trip: out of memory": "axis",
+    "the cause of the trip lasts": "axis tick code cause next_action",
+    "a condition lasts that has not tripped the axis": "axis tick code cause next_action",
+    "the axis moves while its drive is commanded to be disabled": "axis tick moved unit",
     "another axis has tripped": "room axis tripped now",
-    "the holder of control authority has gone": "axis client policy",
+    "the holder of control authority has disconnected": "axis client policy",
     # A bus
     "the bus is open": "bus interface",
     "the bus failed": "bus error",
@@ -37,36 +35,34 @@ FIELDS: Final[dict[str, str]] = {
     "the bus does not close": "bus waited_s",
     "bus controller": "bus tick state error_counters",
     "frames rejected": "bus tick new total",
-    "frames lost in the kernel, unread": "bus tick new total",
-    "the bus brings more frames than a tick reads: what comes behind them does not count as fresh": (
+    "frames were lost in the kernel before they were read": "bus tick new total",
+    "more frames arrive than a tick reads: those that have to wait do not count as fresh": (
         "bus tick new total frames_a_tick"
     ),
     "frame rejected": "room reason text",
     # Clients
     "request": "room peer op",
     "refused": "room peer op code reason",
-    "request dropped, its client has gone": "room peer op",
+    "request dropped: its client has disconnected": "room peer op",
     "client lost": "room peer error",
     "a client could not be served": "room peer exc_info",
-    "a client had to make room": "room peer clients",
-    "newcomers were turned away: all places are taken": "room newest number",
-    "no client can be let in": "room error retry_s",
-    "the control socket was gone, and has been made again": "room socket",
-    "the control socket is gone and cannot be made again: no new client can connect": "room socket error",
+    "a client was disconnected to make room": "room peer clients",
+    "connections were refused: all places are taken": "room newest number",
+    "connections cannot be accepted": "room error retry_s",
+    "the control socket was removed, and has been created again": "room socket",
+    "the control socket was removed and cannot be created again: no new client can connect": "room socket error",
     # The service
     "configuration read again": "config",
     "granted": "room what granted",
     "ending": "states",
     "the loop failed, the axes are being stopped": "exc_info",
-    "the drive could not be told to disable; its own time-out has to stop it": "axis error",
-    "the drive has not been seen to be disabled before the service ends; its own time-out has to stop it": (
-        "axis code told_ms moved"
-    ),
-    "not suspended: a controller that stands still is dead to its drive; SIGTERM or Ctrl-C ends it": "signal",
+    "the drive could not be commanded to disable; only its own command time-out stops it": "axis error",
+    "the drive did not report that it is disabled; only its own command time-out stops it": ("axis code told_ms moved"),
+    "not suspended: a suspended service cannot control its drives; end it with SIGTERM or Ctrl-C": "signal",
     "trip file": "room trip path",
     "no trip file": "room trip error",
-    "a trip file is not written, its disk hangs": "room folder",
-    "log lines were lost: whoever reads the log does not keep up": "lines",
+    "a trip file is not written: its disk does not respond": "room folder",
+    "log lines were lost: the reader of the log does not keep up": "lines",
 }
 
 _WITHOUT_VALUE: Final = {"moved", "error_counters"}

@@ -96,7 +96,10 @@ class World:
 
     async def prepare_reload(self) -> Change:
         if self.prepare is None:
-            raise Refused(RefusalCode.NO_CONFIGURATION, "this service runs on settings that stand in no file.")
+            raise Refused(
+                RefusalCode.NO_CONFIGURATION,
+                "this service runs on settings that are in no file: there is nothing to reload.",
+            )
         return await self.prepare()
 
     @property

@@ -305,7 +305,7 @@ def test_a_jog_ends_with_its_connection_whatever_the_policy(path: Path, policy: 
         operator.die()
         await world.seconds(0.02)
         assert world.state() is State.STOPPING
-        assert "has gone, who held the jog" in (outcome(world)[1] or "")
+        assert "has disconnected while it held the jog" in (outcome(world)[1] or "")
         await world.until(lambda: world.state() is State.HOLDING)
         assert world.drive.position - position < 4.0
 

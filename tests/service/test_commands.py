@@ -259,11 +259,11 @@ def test_when_the_client_that_commands_has_gone(policy: HolderLost, state: State
     with structlog.testing.capture_logs() as logs:
         service.requests.disconnect("one")
     if state is State.JOGGING:
-        assert axis.told == [("stop", "one has gone, who held the jog")]
+        assert axis.told == [("stop", "one has disconnected while it held the jog")]
     elif state in COMMANDED and policy != "continue":
-        reason = f"one has gone, who commanded the move (service.holder_lost is {policy})"
+        reason = f"one has disconnected while it commanded the move (service.holder_lost is {policy})"
         assert axis.told == [(policy, reason)]
-        event = "the holder of control authority has gone"
+        event = "the holder of control authority has disconnected"
         assert logs == [{"event": event, "log_level": "warning", "axis": "y", "client": "one", "policy": policy}]
     else:
         assert axis.told == []
@@ -278,7 +278,7 @@ def test_a_service_that_ends_only_reads(op: str) -> None:
     service = Service()
     service.shutdown.is_ending = True
     code, text = service.refusal(op=op)
-    assert (code, text) == ("ending", "the service is ending: nothing but reading is possible any more.")
+    assert (code, text) == ("ending", "the service is ending: only requests that read are still possible.")
     assert service.ask(op="status") == {"of": None}
     assert service.told() == {}
 
@@ -368,7 +368,7 @@ def test_one_configuration_is_read_at_a_time() -> None:
     codes: list[str] = []
 
     async def prepare() -> Change:
-        with pytest.raises(Refused, match="one has asked for `reload` just now: wait for its end") as refused:
+        with pytest.raises(Refused, match="one is reloading the configuration: wait until that has ended") as refused:
             await service.requests.prepare_reload("one")
         codes.append(refused.value.code)
         return lambda: None

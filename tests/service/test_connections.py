@@ -149,7 +149,7 @@ def test_without_descriptors_the_one_that_matters_least_makes_room_at_once(
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
-    assert not [entry for entry in logs if entry["event"] == "no client can be let in"]
+    assert not [entry for entry in logs if entry["event"] == "connections cannot be accepted"]
 
 
 def test_who_has_asked_for_something_that_is_not_read_yet_is_not_idle(path: Path) -> None:

@@ -212,7 +212,7 @@ def test_who_cannot_be_let_in_is_told_to_the_log_and_let_in_later(path: Path, mo
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
-    told = [entry["error"] for entry in logs if entry["event"] == "no client can be let in"]
+    told = [entry["error"] for entry in logs if entry["event"] == "connections cannot be accepted"]
     assert told == ["OSError(24, 'Too many open files')"] * 2 + ["RuntimeError('a defect')"]
 
 

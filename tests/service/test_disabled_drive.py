@@ -81,7 +81,7 @@ def test_a_drive_that_stays_enabled_after_disarm_trips_and_is_told_everywhere_fo
         assert "x tripped (drive_not_disabled)" not in line  # the distance stands between
         assert "(drive_not_disabled): the drive reports that it is enabled" in line
         assert "while disabled" in line
-        repeated = [log for log in logs if log["event"] == "the trip lasts"]
+        repeated = [log for log in logs if log["event"] == "the cause of the trip lasts"]
         assert [log["code"] for log in repeated] == ["drive_not_disabled"] * 2
         motion = [log for log in logs if "moves while its drive is told" in log["event"]]
         assert 2 <= len(motion) <= 4

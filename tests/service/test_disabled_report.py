@@ -12,7 +12,7 @@ from twostage_servo.timing.ticks import Tick
 
 EVERY = 1000
 """Ticks of 10 ms in 10 s."""
-MOVES = "the axis moves while its drive is told to be disabled"
+MOVES = "the axis moves while its drive is commanded to be disabled"
 
 
 class Told:
@@ -48,7 +48,7 @@ def test_what_has_not_tripped_is_told_at_once_with_all_that_is_known_of_it() -> 
     (trip,) = told.axis.lasting
     assert told.tick(5) == [
         {
-            "event": "this lasts, and has not tripped the axis",
+            "event": "a condition lasts that has not tripped the axis",
             "log_level": "error",
             "axis": "x",
             "tick": 5,
@@ -68,7 +68,9 @@ def test_it_is_repeated_every_10_s_and_after_a_trip_from_its_own_line_on(*, has_
     lines = told.ticks_with_a_line(5, 2 * EVERY + 100)
     assert lines == ([5 + EVERY, 5 + 2 * EVERY] if has_tripped else [5, 5 + EVERY, 5 + 2 * EVERY])
     (line,) = told.tick(5 + 3 * EVERY)
-    assert line["event"] == ("the trip lasts" if has_tripped else "this lasts, and has not tripped the axis")
+    assert line["event"] == (
+        "the cause of the trip lasts" if has_tripped else "a condition lasts that has not tripped the axis"
+    )
 
 
 @pytest.mark.parametrize(("period_s", "every"), [(0.001, 10_000), (0.1, 100)])

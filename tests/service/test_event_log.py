@@ -12,7 +12,7 @@ from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.service.event_log import EventLog
 from twostage_servo.timing.ticks import Tick
 
-ENCODER = "positions are those that the encoder counts: a place that was set before the service started is not known"
+ENCODER = "positions are the encoder's own: a reference that was set before the service started is not known"
 
 
 class Told:

@@ -72,7 +72,7 @@ def test_what_was_asked_while_the_service_stood_still_is_not_carried_out_when_no
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
-    (dropped,) = [entry for entry in logs if entry["event"] == "request dropped, its client has gone"]
+    (dropped,) = [entry for entry in logs if entry["event"] == "request dropped: its client has disconnected"]
     assert dropped["op"] == "arm"
 
 

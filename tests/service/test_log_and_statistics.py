@@ -59,7 +59,7 @@ def test_lines_that_were_lost_are_told_as_soon_as_there_is_room() -> None:
     writer.close()
     told = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert [one["event"] for one in told[11:]] == [
-        "after", "log lines were lost: whoever reads the log does not keep up", "and on",
+        "after", "log lines were lost: the reader of the log does not keep up", "and on",
     ]  # fmt: skip
     assert (told[12]["level"], told[12]["lines"]) == ("error", 15)
 

@@ -114,11 +114,11 @@ def test_a_recording_for_which_there_is_no_memory_is_told(
     why = f"no trip file can be written in {tmp_path}: no memory is left"
     with structlog.testing.capture_logs() as logs:
         simulate(script)
-    told = of(logs, "no recording of the trip: no memory is left", "no trip file")
+    told = of(logs, "no recording of the trip: out of memory", "no trip file")
     assert told == (
         [{"event": "no trip file", "log_level": "error", "room": "trip_files", "trip": "x-stall", "error": why}]
         if to_a_file
-        else [{"event": "no recording of the trip: no memory is left", "log_level": "error", "axis": "x"}]
+        else [{"event": "no recording of the trip: out of memory", "log_level": "error", "axis": "x"}]
     )
 
 
@@ -142,11 +142,11 @@ def test_what_a_bus_loses_is_told_once_a_second_with_what_is_new_and_the_total(m
             bus.look_after(tick(100 * second))
     common = {"log_level": "warning", "bus": "can0"}
     counted = [{"tick": 100, "new": 3, "total": 3}, {"tick": 300, "new": 7, "total": 10}]
-    full = "the bus brings more frames than a tick reads: what comes behind them does not count as fresh"
+    full = "more frames arrive than a tick reads: those that have to wait do not count as fresh"
     most = {"frames_a_tick": BUS.frames_read(0.01)}
     assert of(logs, "frames rejected") == [{"event": "frames rejected", **common, **one} for one in counted]
-    assert of(logs, "frames lost in the kernel, unread") == [
-        {"event": "frames lost in the kernel, unread", **common, **one} for one in counted
+    assert of(logs, "frames were lost in the kernel before they were read") == [
+        {"event": "frames were lost in the kernel before they were read", **common, **one} for one in counted
     ]
     assert of(logs, full) == [{"event": full, **common, **one, **most} for one in counted]
     assert len(logs) == 6
@@ -219,10 +219,11 @@ def test_who_had_to_make_room_and_who_was_lost_is_told_by_process_and_user(tmp_p
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
-    (told,) = of(logs, "a client had to make room")
+    (told,) = of(logs, "a client was disconnected to make room")
     assert told.pop("peer") == f"pid {os.getpid()} uid {os.getuid()} #1"
     assert told == {
-        "event": "a client had to make room", "log_level": "warning", "room": "control_socket", "clients": 2,
+        "event": "a client was disconnected to make room", "log_level": "warning", "room": "control_socket",
+        "clients": 2,
     }  # fmt: skip
 
 
@@ -268,9 +269,9 @@ def test_that_nobody_can_be_let_in_is_told_with_the_time_until_the_next_attempt(
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
-    assert of(logs, "no client can be let in") == [
+    assert of(logs, "connections cannot be accepted") == [
         {
-            "event": "no client can be let in", "log_level": "warning", "room": "control_socket",
+            "event": "connections cannot be accepted", "log_level": "warning", "room": "control_socket",
             "error": "PermissionError(1, 'Operation not permitted')", "retry_s": 1.0,
         }
     ]  # fmt: skip

@@ -41,7 +41,7 @@ def test_a_drive_that_could_not_be_told_to_disable_is_told_with_the_reason(monke
 
     with structlog.testing.capture_logs() as logs:
         simulate(script)
-    text = "the drive could not be told to disable; its own time-out has to stop it"
+    text = "the drive could not be commanded to disable; only its own command time-out stops it"
     assert of(logs, text) == [{"event": text, "log_level": "error", "axis": "x", "error": "the bus takes no frame"}]
 
 
@@ -87,7 +87,7 @@ def test_that_the_holder_has_gone_is_told_where_it_changes_something(tmp_path: P
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script, f"service.holder_lost='{policy}'")
-    text = "the holder of control authority has gone"
+    text = "the holder of control authority has disconnected"
     told = {"event": text, "log_level": "warning", "axis": "x", "client": peers[0], "policy": policy}
     assert of(logs, text) == ([] if policy == "continue" else [told])
 

@@ -79,7 +79,7 @@ def test_an_old_name_is_taken_and_the_log_names_the_new_one() -> None:
         assert answer["ok"]
         asking.ask(op="preempt")
 
-    (told,) = of(with_an_axis_that_holds(script), "an old name")
+    (told,) = of(with_an_axis_that_holds(script), "the old name of an operation")
     assert (told["op"], told["use"], told["log_level"]) == ("take", "preempt", "warning")
 
 
@@ -109,9 +109,9 @@ def test_of_one_who_has_gone_only_what_brings_to_rest_is_carried_out() -> None:
         assert asking.ask(gone, op="stop") is not None
         assert world.state() is State.STOPPING
 
-    assert of(with_an_axis_that_holds(script), "request dropped, its client has gone") == [
+    assert of(with_an_axis_that_holds(script), "request dropped: its client has disconnected") == [
         {
-            "event": "request dropped, its client has gone", "log_level": "warning", "room": "control_socket",
+            "event": "request dropped: its client has disconnected", "log_level": "warning", "room": "control_socket",
             "peer": "pid 1 uid 2 #3", "op": "move",
         }
     ]  # fmt: skip

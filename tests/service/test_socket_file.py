@@ -206,11 +206,11 @@ def test_a_path_that_cannot_be_made_again_is_told_once_and_tried_again(path: Pat
     assert again == [cannot, made]
     assert "File exists" in cannot.pop("error")
     assert cannot == {
-        "event": "the control socket is gone and cannot be made again: no new client can connect", "log_level": "error",
-        "room": "control_socket", "socket": str(path),
+        "event": "the control socket was removed and cannot be created again: no new client can connect",
+        "log_level": "error", "room": "control_socket", "socket": str(path),
     }  # fmt: skip
     assert made == {
-        "event": "the control socket was gone, and has been made again", "log_level": "warning",
+        "event": "the control socket was removed, and has been created again", "log_level": "warning",
         "room": "control_socket", "socket": str(path),
     }  # fmt: skip
 

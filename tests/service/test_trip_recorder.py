@@ -95,7 +95,7 @@ def test_for_want_of_memory_without_files_the_log_says_so() -> None:
     kept = Kept(None)
     kept.keep = no_memory  # type: ignore[method-assign]
     kept.trip()
-    assert kept.tick() == [{"event": "no recording of the trip: no memory is left", "log_level": "error", "axis": "x"}]
+    assert kept.tick() == [{"event": "no recording of the trip: out of memory", "log_level": "error", "axis": "x"}]
 
 
 def test_two_axes_that_trip_one_after_the_other_name_each_its_own_file(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def test_of_too_many_silent_ones_the_oldest_is_turned_away_and_told_why(
 
     with structlog.testing.capture_logs() as logs:
         serve(path, script)
-    told = [line for line in logs if line["event"] == "newcomers were turned away: all places are taken"]
+    told = [line for line in logs if line["event"] == "connections were refused: all places are taken"]
     me = f"pid {os.getpid()} uid {os.getuid()}"
     assert told == [
         {**told[0], "log_level": "warning", "room": "control_socket", "newest": f"{me} #1", "number": 1},

@@ -74,7 +74,7 @@ def read_request(fields: object) -> Request:
     op = fields.get("op")
     model = OPERATIONS.get(op) if isinstance(op, str) else None
     if model is None:
-        named = f"{shortened(op)} is none" if isinstance(op, str) else "it has to name the request"
+        named = f"{shortened(op)} is none" if isinstance(op, str) else "it must name the request"
         raise BadRequestError(f"op: {named}; the requests are {', '.join(OPERATIONS)}")
     problems = list(itertools.islice(_problems(fields, model), MOST_PROBLEMS))
     if problems:
@@ -112,7 +112,7 @@ def _problems(fields: JsonObject, model: type[Request]) -> Iterator[str]:
             yield f"{name} is null: give it a value, or leave it out"
     for name in model.required_names:
         if name not in fields:
-            yield f"{name}: it has to be given"
+            yield f"{name}: is missing, and must be given"
 
 
 def _keys_of(kinds: Mapping[str, object]) -> list[str]:

@@ -144,7 +144,7 @@ def check_server(connection: socket.socket, path: Path) -> None:
         if stranger != server:
             raise UntrustedSocketError(
                 f"{folder}, on the way to {path}, is {_named(stranger)}'s, but process {process} of {_named(server)} "
-                f"answers there: it may stand in the service's place. {_UNSENT}"
+                f"answers there: it may be an impostor of the service. {_UNSENT}"
             )
     # One that has just been removed, or is being made again, was where only its folder's owner could put it.
     is_the_owners = entry.owner == server or (entry.owner is None and not entry.in_open_folder)
@@ -179,7 +179,7 @@ def _check_shared_entry(entry: Path, there: os.stat_result, trusted: set[int]) -
     if there.st_uid not in trusted:
         raise UntrustedSocketError(
             f"{entry} is {_named(there.st_uid)}'s, and others may make entries in {entry.parent}: what lies there may "
-            "stand in the service's place. Nothing was sent. Remove it, or use another path (--socket, service.socket)"
+            "be an impostor of the service. Nothing was sent. Remove it, or use another path (--socket, service.socket)"
         )
     if stat.S_ISLNK(there.st_mode):
         raise UntrustedSocketError(

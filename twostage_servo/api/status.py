@@ -268,7 +268,7 @@ class Status(Plain):
         """
         if len(self.axes) != 1:
             names = ", ".join(self.axes)
-            raise LookupError(f"this status tells of several axes ({names}): look into `axes`, or name one")
+            raise LookupError(f"this status has several axes ({names}): use `axes`, or name one")
         return next(iter(self.axes.values()))
 
     @property

@@ -39,7 +39,7 @@ class ReplaceableTripFiles:
         if self.files is not None:
             self.files.fail(name, error, file)
         else:
-            text = "no recording of the trip: no memory is left"
+            text = "no recording of the trip: out of memory"
             structlog.get_logger().error(text, axis=name.rpartition("-")[0])
 
 

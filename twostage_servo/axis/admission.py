@@ -72,7 +72,7 @@ class Admission:
         if state is State.DISARMED and event in {Event.STOP, Event.QUICK_STOP}:
             raise Refused(
                 RefusalCode.DISARMED,
-                "the axis is disarmed: its drive is told to be disabled, there is nothing to stop.",
+                "the axis is disarmed: its drive is commanded to be disabled, so there is nothing to stop.",
             )
         if state is State.DISARMED:
             raise Refused(RefusalCode.DISARMED, "the axis is disarmed: `arm` it first.")
@@ -90,7 +90,7 @@ class Admission:
             raise Refused(
                 RefusalCode.VELOCITY_LIMIT,
                 f"velocity {exact(velocity)} {self._unit}/s: at less than {self.slowest:.3g} {self._unit}/s the axis "
-                "would not go a step of its encoder in an hour.",
+                "would not move one encoder step in an hour.",
             )
 
     def check_target(self, target: float, *, referenced: bool, lost_because: str = "") -> None:

@@ -113,10 +113,10 @@ def check_detection(design: AxisDesign) -> None:
     raise DesignError(
         ("axis", "limits", "position_overrun"),
         f"an encoder that is {worst.change} while the axis is {worst.phase} at {worst.velocity:g} {unit}/s would be "
-        f"noticed only after {how_far}, and {allowed:.4g} {unit} is allowed. What hides it is the noise that the axis "
-        f"is set up for: {noise:.3g} {unit} (root of axis.observer.measurement_variance), and "
-        f"axis.limits.innovation_time_ms = {design.settings.limits.innovation_time_ms:g}: lower them to what they are, "
-        f"{_remedy(worst, design.period_s)}",
+        f"detected only after {how_far}, and {allowed:.4g} {unit} is allowed. It is hidden by the noise that the axis "
+        f"is set up for, {noise:.3g} {unit} (root of axis.observer.measurement_variance), and by "
+        f"axis.limits.innovation_time_ms = {design.settings.limits.innovation_time_ms:g}: lower them to their true "
+        f"values, {_remedy(worst, design.period_s)}",
     )
 
 

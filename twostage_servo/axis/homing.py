@@ -147,8 +147,8 @@ class Homing:
         allowed = self._motion.innovation_gate + self._way_ahead
         if not min(self._start, place) - allowed <= mark <= max(self._start, place) + allowed:
             raise HomingFailed(
-                f"the drive tells of an index mark at {mark:.6g} {unit}, where the axis has not been: the search has "
-                f"gone from {self._start:.6g} to {place:.6g} {unit}. See that the index message counts on the scale of "
+                f"the drive reports an index mark at {mark:.6g} {unit}, where the axis has not been: the search "
+                f"went from {self._start:.6g} to {place:.6g} {unit}. See that the index message counts on the scale of "
                 "the feedback, and that no other node sends it"
             )
 

@@ -34,7 +34,7 @@ class LawSettings(Settings):
                 LAWS.get(name)
             except UnknownPlugInError as error:
                 raise ValueError(str(error)) from None
-            raise ValueError(f"{name!r} is no name of a law")
+            raise ValueError(f"{name!r} is not the name of a law")
         return name
 
     @model_validator(mode="after")

@@ -173,8 +173,8 @@ class Requests:
             self._jog.bar()
             raise Refused(
                 RefusalCode.STOPPED,
-                "this axis was stopped, and not by whoever jogs it: let go of the jog for "
-                f"{self._settings.jog_timeout_ms:g} ms, look at the axis, and ask again.",
+                "this axis was stopped by another client: release the jog for "
+                f"{self._settings.jog_timeout_ms:g} ms, check the axis, and ask again.",
             )
         check.check_velocity(abs(velocity), limits.velocity if self._referenced else self._settings.homing.velocity)
         check.check_state(self._machine.state, Event.JOG, self.present_trip)

@@ -193,12 +193,14 @@ class HomingSettings(Settings):
         description="Reference: where the axis stands, a home switch, a rigid stop, or the encoder's index mark",
     )
     position: float = quantity(0.0, unit="axis unit", description="Position of the reference", ge=-1e9, le=1e9)
-    direction: Literal["positive", "negative"] = Field("negative", description="Way in which to look for the reference")
+    direction: Literal["positive", "negative"] = Field(
+        "negative", description="Direction of the search for the reference"
+    )
     velocity: float = quantity(
-        20.0, unit="axis unit/s", description="Speed of the search, and of a jog before", gt=0, le=1e9
+        20.0, unit="axis unit/s", description="Speed of the search, and of a jog before homing", gt=0, le=1e9
     )
     slow_velocity: float = quantity(
-        5.0, unit="axis unit/s", description="Speed at which the reference itself is taken", gt=0.0, le=1e9
+        5.0, unit="axis unit/s", description="Speed of the last approach to the reference", gt=0.0, le=1e9
     )
     effort: float = quantity(
         5.0, unit="effort unit", description="Largest effort in the search for a hard stop", gt=0.0, le=1e9
@@ -209,7 +211,7 @@ class HomingSettings(Settings):
     back_off: float = quantity(
         0.0,
         unit="axis unit",
-        description="How far the axis then leaves the hard stop, which is more than the stop gives; 0: 20 windows",
+        description="Distance that the axis then backs off; more than the hard stop yields. 0: 20 position windows",
         ge=0.0,
         le=1e9,
     )
@@ -242,7 +244,7 @@ class AxisSettings(Settings):
     unit: str = Field(description="Unit of position, such as mm or deg", min_length=1, max_length=16)
     effort_unit: str = Field(description="Unit of the effort, such as V, A or %", min_length=1, max_length=16)
     cruise_velocity: float = quantity(
-        unit="axis unit/s", description="Velocity of a set-point that comes without one", gt=0.0, le=1e9
+        unit="axis unit/s", description="Velocity of a set-point that has none of its own", gt=0.0, le=1e9
     )
     arming_timeout_ms: float = quantity(
         500.0, unit="ms", description="Time that the drive may take to report that it is enabled", gt=0.0, le=60_000.0
@@ -250,7 +252,7 @@ class AxisSettings(Settings):
     jog_timeout_ms: float = quantity(
         300.0,
         unit="ms",
-        description="Time after which a jog ends that its operator has not renewed",
+        description="Time after which a jog ends unless it is renewed",
         gt=0.0,
         le=2_000.0,
     )

@@ -82,12 +82,12 @@ def _unseen_travel(design: AxisDesign) -> Iterator[WeakLimit]:
     ):
         way = speed * duration_s
         if way > allowed:
-            what = "a host that stands still" if name == "missed_ticks" else "a drive that is silent"
+            what = "a suspended host" if name == "missed_ticks" else "a silent drive"
             per = 1e3 * design.period_s if name == "missed_ticks" else 1.0
             yield WeakLimit(
                 ("limits", name),
                 getattr(limits, name),
-                f"the trip for {what}: at {speed:g} {unit}/s the axis goes {way:.4g} {unit} in that time, and has to "
+                f"the trip for {what}: at {speed:g} {unit}/s the axis moves {way:.4g} {unit} in that time, and must "
                 f"come to rest within {allowed:g} {unit} past its limits",
                 f"lower it to {int(1e3 * allowed / speed / per)} at most",
             )
@@ -99,8 +99,8 @@ def _unseen_travel(design: AxisDesign) -> Iterator[WeakLimit]:
             yield WeakLimit(
                 ("limits", name),
                 getattr(limits, name),
-                f"the trip for an encoder that jumps: up to {gate:.4g} {unit} are believed, more than the {allowed:g} "
-                f"{unit} in which the axis has to come to rest past its limits",
+                f"the trip for an encoder that jumps: up to {gate:.4g} {unit} are accepted, more than the {allowed:g} "
+                f"{unit} in which the axis must come to rest past its limits",
                 "set a few times what a sample may be off",
             )
 
@@ -113,7 +113,7 @@ def _times(design: AxisDesign, *, heartbeat: bool) -> Iterator[WeakLimit]:
         ("limits", "effort_saturation_ms"): "the trip for an effort that stands at its limit",
         ("limits", "stall_time_ms"): "the trip for a stall",
         ("arming_timeout_ms",): "the trip for a drive that does not disable",
-        ("jog_timeout_ms",): "the end of a jog whose operator has gone",
+        ("jog_timeout_ms",): "the end of a jog whose operator has disconnected",
     }
     if settings.homing.method == "hard_stop":
         longest["homing", "stop_time_ms"] = "the end of the push against a hard stop"
@@ -192,7 +192,7 @@ def _moves(design: AxisDesign, resolution: float) -> Iterator[WeakLimit]:
     if window > min(changeover, travel):
         text = (
             f"the outcome `reached`: the position stage of a move begins {changeover:.4g} {unit} before the set-point, "
-            "so it counts as reached at once"
+            "so it counts as reached immediately"
         )
         yield WeakLimit(("window", "position"), window, text, "set the error with which the work can be done")
     if window < 0.5 * resolution:

@@ -87,7 +87,7 @@ def _check(options: argparse.Namespace) -> ExitCode:
         if ends_within_s > _UNIT_WAITS_S:
             print_line(
                 f"With its time to brake (service.shutdown_timeout_ms) the service may take {ends_within_s:.3g} s to "
-                "end. It asks systemd for that; whatever else manages it has to wait as long before it kills it."
+                "end. It asks systemd for that; any other manager must wait as long before it kills it."
             )
     return ExitCode.DONE
 
@@ -203,7 +203,7 @@ def _design(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.axis.refusals import RefusalCode
 
     if options.plot is not None and options.plot.suffix not in _PLOTS:
-        text = f"--plot {options.plot}: the name has to end in {' or '.join(_PLOTS)}"
+        text = f"--plot {options.plot}: the name must end in {' or '.join(_PLOTS)}"
         raise CommandError(ExitCode.USAGE, "usage", text)
     loaded = load_configuration(options)
     with configuration_problems():
@@ -230,7 +230,9 @@ def _plot(path: Path, design: "AxisDesign", loops: "Mapping[str, Loop]", source:
 
     known = {f"{name} stage": loop.controller for name, loop in loops.items() if loop.controller is not None}
     if not known:
-        raise CommandError(ExitCode.FAILED, "plot", "the law of this axis does not tell its loops: nothing to draw")
+        raise CommandError(
+            ExitCode.FAILED, "plot", "the law of this axis does not describe its loops: there is nothing to draw"
+        )
     analyses = {name: LoopAnalysis(design.plant, controller) for name, controller in known.items()}
     figure = loops_figure(analyses, f"Axis {design.settings.name} of {source}, a tick of {1e3 * design.period_s:g} ms")
     try:

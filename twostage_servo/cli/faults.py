@@ -47,7 +47,7 @@ def _faults(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.faults.table import Phase
 
     if not 0 <= options.seed < 2**63:
-        raise CommandError(ExitCode.USAGE, "usage", f"--seed {options.seed}: from 0 to 2^63 - 1 is possible")
+        raise CommandError(ExitCode.USAGE, "usage", f"--seed {options.seed}: must be from 0 to 2^63 - 1")
     path = find_configuration(options.config)
     progress = Progress(quiet=options.json)
     missed = 0

@@ -30,7 +30,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     """Declare the verbs."""
     latency = verbs.add_parser(
         "latency",
-        help="measure how punctual the ticks of this host are",
+        help="measure how late ticks are on this host",
         description="Run the service's ticks with the configured tick and [realtime] settings, without a motion and "
         "without touching the bus, and judge how late they come. Exit code 3 if the verdict is poor.",
     )
@@ -39,9 +39,9 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--seconds",
         type=decimal,
         default=10.0,
-        help=f"how long (default 10, at most {_LONGEST_S:g}); the longer the surer",
+        help=f"how long (default 10, at most {_LONGEST_S:g}); a longer run finds rarer delays",
     )
-    latency.add_argument("--load", action="store_true", help="keep every processor busy meanwhile")
+    latency.add_argument("--load", action="store_true", help="keep every processor busy during the measurement")
     latency.set_defaults(run=_latency)
     doctor = verbs.add_parser(
         "doctor",

@@ -28,7 +28,7 @@ _FIRST_START: Final = (
     "adduser YOUR_NAME twostage-servo, and log in anew: members of the group may command the axes",
     "systemctl enable --now systemd-networkd twostage-servo",
 )
-_LAST: Final = "systemctl stop twostage-servo 'twostage-servo@*' (what runs goes on until then)"
+_LAST: Final = "systemctl stop twostage-servo 'twostage-servo@*' (running services continue until then)"
 
 
 class _Placed(NamedTuple):
@@ -125,7 +125,7 @@ def _program(options: argparse.Namespace) -> Path:
     found = options.program or shutil.which(sys.argv[0]) or sys.argv[0]
     program = Path(found).absolute()
     if shlex.quote(str(program)) != str(program) or "%" in str(program):
-        text = f"{program}: a path with blanks, quotes or % cannot stand in a unit; install to another folder"
+        text = f"{program}: a path with blanks, quotes or % cannot be used in a unit; install to another folder"
         raise CommandError(ExitCode.USAGE, "program", text)
     needed = [program] if options.program else [program, Path(sys.executable).resolve()]
     for path in needed:

@@ -36,7 +36,7 @@ def _add_watch(verbs: "_Verbs") -> None:
 
 
 def _add_arm(verbs: "_Verbs") -> None:
-    _verb(verbs, "arm", "enable the drive and hold the position at which the axis is")
+    _verb(verbs, "arm", "enable the drive and hold the present position")
 
 
 def _add_disarm(verbs: "_Verbs") -> None:
@@ -58,14 +58,14 @@ def _add_move(verbs: "_Verbs") -> None:
 
 
 def _add_jog(verbs: "_Verbs") -> None:
-    jog = _verb(verbs, "jog", "move for as long as this command runs, or for a time")
+    jog = _verb(verbs, "jog", "move while this command runs, or for a given time")
     jog._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
-    jog.add_argument("velocity", type=decimal, help="velocity, whose sign is the direction")
+    jog.add_argument("velocity", type=decimal, help="velocity; its sign is the direction")
     jog.add_argument("--seconds", type=decimal, metavar="S", help="end after S seconds (default: at Ctrl-C)")
 
 
 def _add_home(verbs: "_Verbs") -> None:
-    home = _verb(verbs, "home", "find the reference from which positions are counted")
+    home = _verb(verbs, "home", "find the reference of the positions")
     home._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
     home.add_argument(
         "--here", type=decimal, metavar="POSITION", help="do not search: the axis stands at this position now"
@@ -73,8 +73,8 @@ def _add_home(verbs: "_Verbs") -> None:
 
 
 def _add_stop(verbs: "_Verbs") -> None:
-    stop = _verb(verbs, "stop", "bring the axis, or all axes, to rest and hold them there, whoever commands them")
-    stop.add_argument("--quick", action="store_true", help="with the quick stop deceleration")
+    stop = _verb(verbs, "stop", "bring the axis, or all axes, to rest and hold them there, whoever holds authority")
+    stop.add_argument("--quick", action="store_true", help="brake with axis.limits.quick_stop_deceleration")
 
 
 def _add_reset(verbs: "_Verbs") -> None:
@@ -82,14 +82,14 @@ def _add_reset(verbs: "_Verbs") -> None:
 
 
 def _add_release(verbs: "_Verbs") -> None:
-    release = _verb(verbs, "release", "give one's own control authority back")
+    release = _verb(verbs, "release", "release your control authority")
     release.add_argument(
-        "--force", action="store_true", help="take it from whoever holds it, while the axis is at rest"
+        "--force", action="store_true", help="also take it from another client; only while the axis is at rest"
     )
 
 
 def _add_reload(verbs: "_Verbs") -> None:
-    _verb(verbs, "reload", "let the service read its configuration again, while the axis is disarmed")
+    _verb(verbs, "reload", "make the service read its configuration again; only while the axis is disarmed")
 
 
 VERBS: "Final[Mapping[str, Callable[[_Verbs], None]]]" = {

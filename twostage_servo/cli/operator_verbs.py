@@ -98,9 +98,9 @@ def _write_csv(path: Path, recording: Recording) -> None:
 
 def _watch(options: argparse.Namespace) -> ExitCode:
     if not 1 <= options.every <= 10_000:
-        raise CommandError(ExitCode.USAGE, "usage", f"--every {options.every}: from 1 to 10000 ticks are possible")
+        raise CommandError(ExitCode.USAGE, "usage", f"--every {options.every}: must be from 1 to 10000 ticks")
     if options.count is not None and options.count < 1:
-        raise CommandError(ExitCode.USAGE, "usage", f"--count {options.count}: at least 1 line is needed")
+        raise CommandError(ExitCode.USAGE, "usage", f"--count {options.count}: must be at least 1 line")
     with _connected(options) as client, contextlib.closing(client.watch(options.every)) as snapshots:
         for status in itertools.islice(snapshots, options.count):
             if options.json:
@@ -136,7 +136,7 @@ def _stop(options: argparse.Namespace) -> ExitCode:
 
 def _jog(options: argparse.Namespace) -> ExitCode:
     if options.seconds is not None and not 0.0 <= options.seconds < 1e6:
-        raise CommandError(ExitCode.USAGE, "usage", f"--seconds {options.seconds}: from 0 to 1e6 s are possible")
+        raise CommandError(ExitCode.USAGE, "usage", f"--seconds {options.seconds}: must be from 0 to 1e6 s")
     progress = Progress(quiet=options.json)
     seconds = math.inf if options.seconds is None else options.seconds
     try:
@@ -229,7 +229,7 @@ def _followed(
             details = {"status": error.status.to_json()}
             raise CommandError(ExitCode.FAILED, error.code, text, details) from error
         except KeyboardInterrupt:
-            note("\nno longer watching; the axis goes on to its set-point. `twostage-servo stop` stops it.")
+            note("\nno longer watching; the axis continues to its set-point. `twostage-servo stop` stops it.")
             raise
 
 
@@ -279,7 +279,7 @@ def _finish(options: argparse.Namespace, status: Status, *, moved: bool = False,
     unseen = [one for one in reports if disabled and one.axis.state not in ENABLED and unheard_of(one)]
     for one in () if options.json else unseen:
         print_line(
-            f"{one.axis.name}: it is not known whether the drive is off; its own command time-out has to have "
+            f"{one.axis.name}: it is not known whether the drive is off; its own command time-out must have "
             "stopped it. Look at the axis, and ask again when the drive is heard"
         )
     if options.verb == "disarm":  # a trip has disabled the drive as well

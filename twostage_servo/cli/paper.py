@@ -31,7 +31,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         default=Path("paper-report"),
         metavar="DIR",
         help="folder to write: report.html, its figures as SVG and PNG, every sample as CSV, and results.json; files "
-        "of the same names are replaced (default: paper-report in the present folder)",
+        "of the same names are replaced (default: paper-report in the current folder)",
     )
     paper.add_argument("--json", action="store_true", help="print one JSON object")
     paper.set_defaults(run=_paper)

@@ -20,8 +20,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     run = verbs.add_parser(
         "run",
         help="run the service",
-        description="Run the service until SIGTERM or Ctrl-C; a moving axis is then brought to rest and disabled. So "
-        "it is on any other signal that can be caught, with 128 and its number as the exit code.",
+        description="Run the service until SIGTERM or Ctrl-C; it then brakes and disables its axes. It does the same "
+        "on any other signal that can be caught, and ends with exit code 128 plus the signal's number.",
     )
     add_options(run, required=True)
     run.set_defaults(run=_run)

@@ -37,4 +37,4 @@ def whole(text: str) -> int:
     try:
         return int(text)
     except ValueError as error:  # of thousands of digits
-        raise argparse.ArgumentTypeError("a number of so many digits is none that is meant") from error
+        raise argparse.ArgumentTypeError("the number has too many digits") from error

@@ -256,7 +256,7 @@ class Verbs:
             if all(_outcome_of(report) is not MoveOutcome.MOVING for report in reports):
                 return True
             if self._clock() >= end_s:
-                raise TimedOut(f"the motion has not ended within {timeout_s:g} s; it goes on", status)
+                raise TimedOut(f"the motion has not ended within {timeout_s:g} s; the axis continues", status)
             return False
 
         status: Status = yield Until(WatchRequest(axis=self._axis, every=_PROGRESS_TICKS), is_over)

@@ -31,7 +31,8 @@ class MachineSettings(Settings):
         description="Configuration files of the axes, relative to the folder of this file", min_length=1, max_length=64
     )
     fault_reaction: FaultReaction = Field(
-        "stop", description="What the other axes do when one trips: go on, come to rest and hold, or disarm"
+        "stop",
+        description="What the other axes do when one trips: continue, stop and hold, quick stop and hold, or disarm",
     )
     renamed: ClassVar = {"when_one_trips": "fault_reaction"}
 
@@ -39,7 +40,7 @@ class MachineSettings(Settings):
     @classmethod
     def _are_different(cls, axes: list[str]) -> list[str]:
         if doubled := sorted({axis for axis in axes if axes.count(axis) > 1}):
-            raise ValueError(f"{', '.join(doubled)} is named twice; each axis has a file of its own")
+            raise ValueError(f"{', '.join(doubled)} is listed twice; each axis needs its own file")
         return axes
 
 

@@ -200,7 +200,7 @@ def _check_modes(channel: str, data: dict[str, Any], result: CanInterface) -> No
     if "ONE-SHOT" in modes or "PRESUME-ACK" in modes:
         option = "one-shot" if "ONE-SHOT" in modes else "presume-ack"
         remedy = f"sudo ip link set {channel} down && sudo ip link set {channel} up type can {option} off"
-        result.add("bus mode", Status.WARN, f"{found}: a command that nobody took is not repeated", remedy)
+        result.add("bus mode", Status.WARN, f"{found}: a command that no node acknowledged is not repeated", remedy)
         return
     result.add("bus mode", Status.OK, found)
 

@@ -226,7 +226,7 @@ def virtualisation_finding(host: Host) -> Finding:
         "virtualisation",
         Status.WARN,
         f"a virtual machine{f' ({product})' if product else ''}: its host decides when its processors run",
-        "drive a machine from real hardware; if it has to be a virtual one, give it processors of its own (pinned)",
+        "drive a machine from real hardware; if it must be a virtual one, give it its own processors (pinned)",
     )
 
 

@@ -151,14 +151,14 @@ class AxisLoop:
     def disable_drive(self, tick_index: int) -> None:
         """Tell the drive to disable, as the last thing before the service ends."""
         if self.bus.send(tick_index, self._prepared(NO_EFFORT)) is not True:
-            text = "the drive could not be told to disable; its own time-out has to stop it"
+            text = "the drive could not be commanded to disable; only its own command time-out stops it"
             structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus takes no frame")
 
     def report_if_not_disabled(self) -> bool:
         """Return whether the drive was never seen disabled before the service ends; log it if so."""
         watch = self.axis.disabled
         if watch.seen_enabled:
-            text = "the drive has not been seen to be disabled before the service ends; its own time-out has to stop it"
+            text = "the drive did not report that it is disabled; only its own command time-out stops it"
             structlog.get_logger().error(
                 text, axis=self.name, code=TripCode.DRIVE_NOT_DISABLED, told_ms=watch.told_ms, moved=watch.moved
             )

@@ -165,11 +165,13 @@ class BusConnection:
             self._rejected = rejected
         if overflowed != self._overflowed:
             new = overflowed - self._overflowed
-            self._log.warning("frames lost in the kernel, unread", tick=tick.index, new=new, total=overflowed)
+            self._log.warning(
+                "frames were lost in the kernel before they were read", tick=tick.index, new=new, total=overflowed
+            )
             self._overflowed = overflowed
         if overruns != self._overruns:
             new = overruns - self._overruns
-            text = "the bus brings more frames than a tick reads: what comes behind them does not count as fresh"
+            text = "more frames arrive than a tick reads: those that have to wait do not count as fresh"
             self._log.warning(text, tick=tick.index, new=new, total=overruns, frames_a_tick=self._frames_a_tick)
             self._overruns = overruns
 

@@ -76,7 +76,7 @@ class ClientAdmission:
                     async with self._background.slot(Priority.CONNECTION):
                         self._accept_some(door)
                 except Exception as error:  # noqa: BLE001 - no descriptor is left, or a defect: nobody is shut out for good
-                    self._log.warning("no client can be let in", error=repr(error), retry_s=_PAUSE_S)
+                    self._log.warning("connections cannot be accepted", error=repr(error), retry_s=_PAUSE_S)
                     await asyncio.sleep(_PAUSE_S)
                 await asyncio.sleep(0)
 
@@ -188,7 +188,7 @@ class ClientAdmission:
         if now_s >= self._next_report_s:
             connection.identify()
             newest, number = connection.peer, self._turned_away
-            self._log.warning("newcomers were turned away: all places are taken", newest=newest, number=number)
+            self._log.warning("connections were refused: all places are taken", newest=newest, number=number)
             self._turned_away, self._next_report_s = 0, now_s + _BETWEEN_REPORTS_S
         connection.write(_NO_PLACE)
         connection.close()

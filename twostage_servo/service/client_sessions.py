@@ -125,7 +125,9 @@ class ClientSessions:
         connection = self._least()
         if connection is None:
             return False
-        self._log.warning("a client had to make room", peer=connection.peer, clients=len(self._connections))
+        self._log.warning(
+            "a client was disconnected to make room", peer=connection.peer, clients=len(self._connections)
+        )
         if connection.urgent is None and connection.next_line_names(URGENT_WORDS, LONGEST_URGENT):
             self.read(connection)
         if connection.urgent is not None:  # it shall be carried out, and nobody waits for its answer

@@ -47,7 +47,11 @@ class DisabledReport:
         for one in lasting:
             if tick_index >= self._next[one.code]:
                 self._next[one.code] = tick_index + self._every
-                text = "the trip lasts" if one.code in axis.trips else "this lasts, and has not tripped the axis"
+                text = (
+                    "the cause of the trip lasts"
+                    if one.code in axis.trips
+                    else "a condition lasts that has not tripped the axis"
+                )
                 self._log.error(text, tick=tick_index, code=one.code, cause=one.cause, next_action=one.next_action)
 
     def _report_motion(self, tick_index: int, axis: "Axis") -> None:
@@ -58,5 +62,5 @@ class DisabledReport:
         limit = axis.settings.limits.innovation_gate
         if self._moved is None or (tick_index >= self._next_motion and abs(moved - self._moved) > limit):
             self._moved, self._next_motion = moved, tick_index + self._every
-            text = "the axis moves while its drive is told to be disabled"
+            text = "the axis moves while its drive is commanded to be disabled"
             self._log.warning(text, tick=tick_index, moved=round(moved, 6), unit=axis.settings.unit)

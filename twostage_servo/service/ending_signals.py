@@ -119,7 +119,7 @@ class EndingSignals:
 
 
 def _refuse_to_be_suspended() -> None:
-    text = "not suspended: a controller that stands still is dead to its drive; SIGTERM or Ctrl-C ends it"
+    text = "not suspended: a suspended service cannot control its drives; end it with SIGTERM or Ctrl-C"
     structlog.get_logger().warning(text, signal="SIGTSTP")
 
 

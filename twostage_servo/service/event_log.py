@@ -51,8 +51,7 @@ class EventLog:
         self._source, self._lost_because = reference.source, reference.lost_because
         if reference.source is ReferenceSource.ENCODER:
             self._log.info(
-                "positions are those that the encoder counts: a place that was set before the service started is not "
-                "known",
+                "positions are the encoder's own: a reference that was set before the service started is not known",
                 tick=tick.index,
             )
         elif reference.source is ReferenceSource.HOMED:

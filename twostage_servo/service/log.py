@@ -58,7 +58,7 @@ class LogWriter:
             return
         if lost := self.dropped - self._told:
             self._told += lost
-            structlog.get_logger().error("log lines were lost: whoever reads the log does not keep up", lines=lost)
+            structlog.get_logger().error("log lines were lost: the reader of the log does not keep up", lines=lost)
 
     log = debug = info = warning = error = critical = msg
 

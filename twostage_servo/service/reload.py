@@ -39,7 +39,9 @@ class Reload:
             return
         self._check_disarmed()
         if self._preparing is not None:
-            raise Refused(RefusalCode.BUSY, f"{self._preparing} has asked for `reload` just now: wait for its end.")
+            raise Refused(
+                RefusalCode.BUSY, f"{self._preparing} is reloading the configuration: wait until that has ended."
+            )
         self._preparing, self._prepared = client, None
         try:
             self._prepared = client, await self._prepare()
@@ -60,7 +62,10 @@ class Reload:
         """
         prepared, self._prepared = self._prepared, None
         if prepared is None or prepared[0] != client:
-            raise Refused(RefusalCode.NO_CONFIGURATION, "this service runs on settings that stand in no file.")
+            raise Refused(
+                RefusalCode.NO_CONFIGURATION,
+                "this service runs on settings that are in no file: there is nothing to reload.",
+            )
         self._check_disarmed()
         prepared[1]()
 

@@ -95,7 +95,7 @@ class RequestHandler:
     def answer(self, request: Request, asker: Asker) -> Reply:
         """Carry out a request, and return its answer; one that was dropped has none."""
         if not isinstance(request, READING) and not isinstance(request, _NEVER_TOO_LATE) and asker.gone:
-            self._log.warning("request dropped, its client has gone", peer=asker.peer, op=request.op)
+            self._log.warning("request dropped: its client has disconnected", peer=asker.peer, op=request.op)
             return Reply(iter(()), done=False)
         try:
             addressed = self._addressed(request) if isinstance(request, READING) else self._accept(request, asker)
@@ -125,11 +125,11 @@ class RequestHandler:
         for axis_loop in self._axis_loops:
             axis = axis_loop.axis
             if axis.state is State.JOGGING:
-                axis.stop(f"{client} has gone, who held the jog")
+                axis.stop(f"{client} has disconnected while it held the jog")
             elif axis.state in COMMANDED and policy != "continue":
-                log, event = structlog.get_logger(), "the holder of control authority has gone"
+                log, event = structlog.get_logger(), "the holder of control authority has disconnected"
                 log.warning(event, axis=axis_loop.name, client=client, policy=policy)
-                reason = f"{client} has gone, who commanded the move (service.holder_lost is {policy})"
+                reason = f"{client} has disconnected while it commanded the move (service.holder_lost is {policy})"
                 if policy == "stop":
                     axis.stop(reason)
                 else:
@@ -189,7 +189,7 @@ class RequestHandler:
         if not isinstance(request, JogRequest):  # a jog is asked for several times a second
             self._log.info("request", peer=asker.peer, **request.to_json())
         if request.renamed_to:
-            self._log.warning("an old name", peer=asker.peer, op=request.op, use=request.renamed_to)
+            self._log.warning("the old name of an operation", peer=asker.peer, op=request.op, use=request.renamed_to)
         before = self._stands()
         try:
             addressed = self._addressed(request)
@@ -208,13 +208,13 @@ class RequestHandler:
         if age_s > self.age.longest_s and not isinstance(request, _NEVER_TOO_LATE):
             raise Refused(
                 RefusalCode.EXPIRED,
-                f"this {request.op} may have waited for {age_s:.1f} s before its turn came, and "
-                f"{self.age.longest_s:g} s are the most: look at the axis, and ask again.",
+                f"this {request.op} may have waited for {age_s:.1f} s, and at most "
+                f"{self.age.longest_s:g} s are allowed: check the axis, and ask again.",
             )
 
     def _check_not_ending(self) -> None:
         if self._shutdown.is_ending:
-            raise Refused(RefusalCode.ENDING, "the service is ending: nothing but reading is possible any more.")
+            raise Refused(RefusalCode.ENDING, "the service is ending: only requests that read are still possible.")
 
     def carry_out(self, request: Request, addressed: Sequence[AxisLoop], client: str) -> None:
         """Carry out a request of a client that changes something, for the axes that it is for.

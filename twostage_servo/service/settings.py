@@ -35,7 +35,7 @@ class ServiceSettings(Settings):
     )
     holder_lost: Literal["continue", "stop", "disarm"] = Field(
         "continue",
-        description="What becomes of a move when the connection ends that commanded it without releasing authority",
+        description="What happens to a move when the connection that commanded it ends without releasing authority",
     )
     shutdown_timeout_ms: float = quantity(
         800.0,

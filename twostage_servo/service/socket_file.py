@@ -128,11 +128,11 @@ class SocketFile:
         except OSError as error:
             if str(error) != self._trouble:
                 self._trouble = str(error)
-                text = "the control socket is gone and cannot be made again: no new client can connect"
+                text = "the control socket was removed and cannot be created again: no new client can connect"
                 self._log.error(text, socket=str(self.path), error=self._trouble)
             return None
         self._trouble = ""
-        self._log.warning("the control socket was gone, and has been made again", socket=str(self.path))
+        self._log.warning("the control socket was removed, and has been created again", socket=str(self.path))
         return listener
 
     # Socket and lock -------------------------------------------------------------------------------------------------

@@ -68,5 +68,5 @@ class TripRecorder:
             if self._files is not None:
                 self._files.fail(name, error, trip.file)
             else:
-                text = "no recording of the trip: no memory is left"
+                text = "no recording of the trip: out of memory"
                 structlog.get_logger().error(text, axis=self._axis_loop.name)

@@ -123,7 +123,7 @@ class TripFiles:
     def close(self) -> None:
         """Let what is being written be written, and end the thread; a disk that hangs is not waited for."""
         if not self._thread.end(_LONGEST_END_S):
-            self._log.error("a trip file is not written, its disk hangs", folder=str(self.folder))
+            self._log.error("a trip file is not written: its disk does not respond", folder=str(self.folder))
 
     def _written(self, name: str, future: "asyncio.Future[Path]", file: TripFile) -> None:
         self._writing.discard(future)
