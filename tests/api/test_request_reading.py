@@ -226,8 +226,8 @@ def test_a_word_of_up_to_40_characters_is_repeated_whole(length: int, shown: str
 
 def test_what_is_no_request_is_told_in_the_words_of_whoever_wrote_it() -> None:
     assert problem("[1]") == 'a request should be an object, such as {"op": "status"}'
-    assert problem("{}").startswith("op: it has to name the request; the requests are ")
-    assert problem('{"op": 1}').startswith("op: it has to name the request; ")
+    assert problem("{}").startswith("op: it must name the request; the requests are ")
+    assert problem('{"op": 1}').startswith("op: it must name the request; ")
     assert problem("{").startswith("invalid JSON: ")
     assert problem('{"op": "move", "velocity": null}') == "velocity is null: give it a value, or leave it out"
     assert problem('{"op": "move", "position": "far"}').startswith("position: ")

@@ -25,7 +25,7 @@ FIELDS: Final[dict[str, str]] = {
     "no recording of the trip: out of memory": "axis",
     "the cause of the trip lasts": "axis tick code cause next_action",
     "a condition lasts that has not tripped the axis": "axis tick code cause next_action",
-    "the axis moves while its drive is commanded to be disabled": "axis tick moved unit",
+    "the axis moves while its drive is told to be disabled": "axis tick moved unit",
     "another axis has tripped": "room axis tripped now",
     "the holder of control authority has disconnected": "axis client policy",
     # A bus
@@ -56,7 +56,7 @@ FIELDS: Final[dict[str, str]] = {
     "granted": "room what granted",
     "ending": "states",
     "the loop failed, the axes are being stopped": "exc_info",
-    "the drive could not be commanded to disable; only its own command time-out stops it": "axis error",
+    "the drive could not be told to disable; only its own command time-out stops it": "axis error",
     "the drive did not report that it is disabled; only its own command time-out stops it": ("axis code told_ms moved"),
     "not suspended: a suspended service cannot control its drives; end it with SIGTERM or Ctrl-C": "signal",
     "trip file": "room trip path",

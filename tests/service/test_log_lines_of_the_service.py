@@ -41,7 +41,7 @@ def test_a_drive_that_could_not_be_told_to_disable_is_told_with_the_reason(monke
 
     with structlog.testing.capture_logs() as logs:
         simulate(script)
-    text = "the drive could not be commanded to disable; only its own command time-out stops it"
+    text = "the drive could not be told to disable; only its own command time-out stops it"
     assert of(logs, text) == [{"event": text, "log_level": "error", "axis": "x", "error": "the bus takes no frame"}]
 
 

@@ -72,7 +72,7 @@ class Admission:
         if state is State.DISARMED and event in {Event.STOP, Event.QUICK_STOP}:
             raise Refused(
                 RefusalCode.DISARMED,
-                "the axis is disarmed: its drive is commanded to be disabled, so there is nothing to stop.",
+                "the axis is disarmed: its drive is told to be disabled, so there is nothing to stop.",
             )
         if state is State.DISARMED:
             raise Refused(RefusalCode.DISARMED, "the axis is disarmed: `arm` it first.")

@@ -151,7 +151,7 @@ class AxisLoop:
     def disable_drive(self, tick_index: int) -> None:
         """Tell the drive to disable, as the last thing before the service ends."""
         if self.bus.send(tick_index, self._prepared(NO_EFFORT)) is not True:
-            text = "the drive could not be commanded to disable; only its own command time-out stops it"
+            text = "the drive could not be told to disable; only its own command time-out stops it"
             structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus takes no frame")
 
     def report_if_not_disabled(self) -> bool:
