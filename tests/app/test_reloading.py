@@ -137,7 +137,7 @@ def test_while_one_is_prepared_another_is_refused_and_an_axis_that_was_armed_kee
         world.prepare = slowly
         first = asyncio.create_task(requests.prepare_reload("first"))
         await world.seconds(0.02)
-        with pytest.raises(Refused, match="has asked for `reload` just now") as refused:
+        with pytest.raises(Refused, match="is reloading the configuration") as refused:
             await requests.prepare_reload("first")
         assert refused.value.code == "busy"
         axis.arm()

@@ -50,7 +50,9 @@ def test_what_is_no_motion_is_refused_with_the_smallest_speed_that_is_one() -> N
     slowest = 0.001 / 3600.0
     assert rig.axis.slowest_velocity == pytest.approx(slowest)
     for ask in (lambda: rig.axis.move_to(5.0, 1e-300), lambda: rig.axis.jog(-1e-300)):
-        with pytest.raises(Refused, match=r"at less than 2\.78e-07 mm/s the axis would not go a step") as refused:
+        with pytest.raises(
+            Refused, match=r"at less than 2\.78e-07 mm/s the axis would not move one encoder step"
+        ) as refused:
             ask()
         assert refused.value.code == "velocity_limit"
     rig.axis.move_to(5.0, 1.001 * slowest)

@@ -100,10 +100,10 @@ def test_missed_ticks_count_by_their_length(tick_s: float, last: int) -> None:
     assert weak(tick_s, limits={"missed_ticks": last, "stale_feedback_ms": 60.0}) == []
     (told,) = weak(tick_s, limits={"missed_ticks": last + 1, "stale_feedback_ms": 60.0})
     assert told.do == f"lower it to {last} at most"
-    assert f"a host that stands still: at 250 mm/s the axis goes {250 * tick_s * (last + 1):.4g} mm" in told.disables
+    assert f"a suspended host: at 250 mm/s the axis moves {250 * tick_s * (last + 1):.4g} mm" in told.disables
     (told,) = weak(tick_s, limits={"stale_feedback_ms": 90.0})
     assert told.do == "lower it to 80 at most"
-    assert "a drive that is silent: at 250 mm/s the axis goes 22.5 mm in that time" in told.disables
+    assert "a silent drive: at 250 mm/s the axis moves 22.5 mm in that time" in told.disables
 
 
 def test_an_overrun_of_more_than_the_travel_allows_no_more_than_that() -> None:
@@ -118,7 +118,7 @@ def test_an_overrun_of_more_than_the_travel_allows_no_more_than_that() -> None:
 def test_a_gate_is_told_with_how_far_it_is_open(name: str) -> None:
     (told,) = weak(limits={name: 90.0})
     width = {"innovation_gate": "90", "innovation_time_ms": "22.5"}[name]
-    assert f"up to {width} mm are believed, more than the 20 mm in which" in told.disables
+    assert f"up to {width} mm are accepted, more than the 20 mm in which" in told.disables
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ def test_a_plot_of_an_unknown_kind_or_in_no_folder_is_refused(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     assert main(["design", "--plot", str(tmp_path / "loops.pdf")]) == 2
-    assert "has to end in .png or .svg" in capsys.readouterr().err
+    assert "must end in .png or .svg" in capsys.readouterr().err
     assert main(["design", "--plot", str(tmp_path / "none" / "loops.png")]) == 3
     assert "the plot cannot be written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

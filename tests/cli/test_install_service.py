@@ -66,8 +66,8 @@ def test_printing_places_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[s
     ("arguments", "text"),
     [
         (["--program", "/home/me/bin/twostage-servo"], "is hidden from the service"),
-        (["--program", "/opt/my servo/twostage-servo"], "cannot stand in a unit"),
-        (["--program", "/opt/100%/twostage-servo"], "cannot stand in a unit"),
+        (["--program", "/opt/my servo/twostage-servo"], "cannot be used in a unit"),
+        (["--program", "/opt/100%/twostage-servo"], "cannot be used in a unit"),
         (["--program", str(PROGRAM), "--bit-rate", "0"], "1 to 1000000 bit/s"),
     ],
 )

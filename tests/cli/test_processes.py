@@ -445,7 +445,7 @@ def test_a_command_that_is_interrupted_in_mid_move_leaves_the_axis_moving(machin
     machine.watch_until(lambda status: (status["axis"]["velocity"] or 0.0) > 50.0)
     exit_code, _, said = moving.end(signal.SIGINT)
     assert exit_code == 130
-    assert "the axis goes on to its set-point" in said
+    assert "the axis continues to its set-point" in said
     assert machine.watch_until(lambda status: status["move"]["outcome"] != "moving")["move"]["outcome"] == "reached"
 
 

@@ -42,8 +42,8 @@ def test_shipped_files_are_warned_of_what_is_true_alone(capsys: pytest.CaptureFi
 @pytest.mark.parametrize(
     ("override", "disables"),
     [
-        ("axis.limits.missed_ticks=40", "a host that stands still: at 250 mm/s the axis goes 100 mm in that time"),
-        ("axis.limits.stale_feedback_ms=100", "a drive that is silent: at 250 mm/s the axis goes 25 mm"),
+        ("axis.limits.missed_ticks=40", "a suspended host: at 250 mm/s the axis moves 100 mm in that time"),
+        ("axis.limits.stale_feedback_ms=100", "a silent drive: at 250 mm/s the axis moves 25 mm"),
         ("axis.limits.overspeed=410", "the trip for overspeed: with all of its effort the axis comes to 308.6 mm/s"),
         ("axis.limits.following_error_minimum=2600", "the trip for following error"),
         ("axis.limits.following_error_time_s=11", "the trip for following error: 2750 mm are allowed"),

@@ -267,7 +267,7 @@ def test_a_service_that_ends_waits_for_the_drive_and_says_so_if_it_was_not_seen_
         assert TIME_OUT_S < now_s() - begun_s < 2.0
         assert world.service.shutdown.not_disabled == ["x"]
         assert codes(world) == ["drive_not_disabled"]
-        (told,) = [log for log in logs if "has not been seen to be disabled" in log["event"]]
+        (told,) = [log for log in logs if "did not report that it is disabled" in log["event"]]
         assert (told["log_level"], told["axis"], told["code"]) == ("error", "x", "drive_not_disabled")
         assert told["told_ms"] > 500.0
         assert "moved" in told

@@ -225,7 +225,7 @@ def test_that_it_was_not_suspended_is_told_with_what_ends_it() -> None:
         signal.raise_signal(signal.SIGTSTP)  # when the loop is closed there is nothing to tell any more
     (told,) = [line for line in logs if "signal" in line]
     assert (told["log_level"], told["signal"]) == ("warning", "SIGTSTP")
-    assert "SIGTERM or Ctrl-C ends it" in told["event"]
+    assert "end it with SIGTERM or Ctrl-C" in told["event"]
 
 
 def test_one_that_comes_when_the_loop_is_closed_decides_on_the_exit_code_alone() -> None:

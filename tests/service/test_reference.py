@@ -133,7 +133,7 @@ def test_the_log_says_on_what_positions_rest_and_why_no_longer() -> None:
 
     told = [(line["event"], line.get("reason")) for line in simulate(script)]
     begins, known, lost = told
-    assert begins[0].startswith("positions are those that the encoder counts: a place that was set before")
+    assert begins[0].startswith("positions are the encoder's own: a reference that was set before")
     assert known == ("the position is known", None)
     assert lost == (
         "the position is no longer known: home the axis",

@@ -126,7 +126,7 @@ def test_a_command_expires_after_a_second(age_s: float, *, expired: bool) -> Non
         if expired:
             assert answer["error"]["code"] == "expired"
             assert "this move may have waited for 1.0 s" in answer["error"]["message"]
-            assert "1 s are the most" in answer["error"]["message"]
+            assert "at most 1 s is allowed" in answer["error"]["message"]
 
     with_an_axis_that_holds(script)
 
