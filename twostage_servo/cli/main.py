@@ -16,7 +16,7 @@ from twostage_servo.version import __version__
 
 _EPILOG = """\
 exit codes: 0 done, 1 its output cannot be written, or a defect, 2 bad usage or configuration, 3 the axis tripped or
-did not do what was asked, 4 no service answers, 130 interrupted
+did not carry out the command, 4 no service answers, 130 interrupted
 start here: twostage-servo demo
 """
 
