@@ -244,15 +244,15 @@ def test_an_axis_that_is_armed_with_a_wrong_place_is_told(monkeypatch: pytest.Mo
     allowed = 2.0 * travel_bound(soak.axis.design, 0.0, -1.0)
     for place, told in ((0.9 * allowed, False), (1.1 * allowed, True)):
         soak.axis.machine.state = State.DISARMED
-        assert soak.watch.look(place, 0.0, 0.0) is None
+        assert soak.watch.check(place, 0.0, 0.0) is None
         soak.axis.machine.state = State.HOLDING
-        wrong = soak.watch.look(place, 0.0, 0.0)
+        wrong = soak.watch.check(place, 0.0, 0.0)
         assert ("counts as referenced" in (wrong or "")) is told
     soak.watch.placed()
     soak.axis.machine.state = State.DISARMED
-    soak.watch.look(0.0, 0.0, 0.0)
+    soak.watch.check(0.0, 0.0, 0.0)
     soak.axis.machine.state = State.HOLDING
-    assert soak.watch.look(0.1 * allowed, 0.0, 0.0) is not None
+    assert soak.watch.check(0.1 * allowed, 0.0, 0.0) is not None
 
 
 def test_an_effort_beyond_its_limit_its_rate_or_its_state_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -263,17 +263,17 @@ def test_an_effort_beyond_its_limit_its_rate_or_its_state_is_told(monkeypatch: p
         (Command(1.0, enable=True), "while the axis is disarmed"),
     ):
         with pytest.raises(BrokenInvariantError, match=what):
-            Invariants(axis).look(command, 0.0)
+            Invariants(axis).check(command, 0.0)
     with pytest.raises(BrokenInvariantError, match="beyond its limits"):
-        Invariants(axis).look(Command(0.0, enable=False), 1e6)
-    Invariants(axis).look(Command(0.0, enable=False), 1e6, place_known=False)
+        Invariants(axis).check(Command(0.0, enable=False), 1e6)
+    Invariants(axis).check(Command(0.0, enable=False), 1e6, place_known=False)
 
 
 def test_an_axis_that_takes_itself_to_be_elsewhere_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     soak = armed(soak_of(linear(), monkeypatch))
-    soak.invariants.look(Command(soak.axis.effort, enable=True), soak.drive.position + 0.9)
+    soak.invariants.check(Command(soak.axis.effort, enable=True), soak.drive.position + 0.9)
     with pytest.raises(BrokenInvariantError, match="takes itself to be at"):
-        Invariants(soak.axis).look(Command(0.0, enable=True), soak.drive.position + 1.2)
+        Invariants(soak.axis).check(Command(0.0, enable=True), soak.drive.position + 1.2)
 
 
 def test_a_drive_that_stays_enabled_untold_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -341,10 +341,10 @@ def test_another_scale_is_held_to_a_bound_where_it_shows(
     soak = armed(soak_of(linear(), monkeypatch))
     far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.5)
     for _ in range(30):
-        soak.watch.look(0.0, before, 0.0)
+        soak.watch.check(0.0, before, 0.0)
     soak.watch.begin(0.5, 0.0, then if before else 0.0, gain, pole)
-    soak.watch.look(0.0, then, 0.0)
-    assert (soak.watch.look(far, then, 0.0) is not None) is told
+    soak.watch.check(0.0, then, 0.0)
+    assert (soak.watch.check(far, then, 0.0) is not None) is told
 
 
 def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_stall_effort_on(
@@ -354,10 +354,10 @@ def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_s
     stall, effort = soak.axis.settings.limits.stall_effort, soak.axis.effort
     far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.0)
     soak.watch.begin(0.0, 0.0, 0.0)
-    soak.watch.look(0.0, 0.0, effort + 1.1 * stall)
+    soak.watch.check(0.0, 0.0, effort + 1.1 * stall)
     soak.watch.move_asked(0.0, 100.0, at_rest=True)
-    assert soak.watch.look(far, 1.0, effort + 0.9 * stall) is None
-    assert soak.watch.look(2.0 * far, 1.0, effort + 1.1 * stall) is not None
+    assert soak.watch.check(far, 1.0, effort + 0.9 * stall) is None
+    assert soak.watch.check(2.0 * far, 1.0, effort + 1.1 * stall) is not None
 
 
 def test_a_late_sample_of_a_fast_axis_hides_another_scale() -> None:
@@ -379,8 +379,8 @@ def test_an_axis_that_speeds_up_is_held_to_the_bound_of_the_speed_that_was_asked
     assert abs(soak.drive.velocity) < 100.0
     soak.watch.begin(-1.0, 0.0, soak.drive.velocity)
     bound = travel_bound(soak.axis.design, 200.0, -1.0)
-    assert soak.watch.look(0.99 * bound, 0.0, 0.0) is None
-    assert soak.watch.look(1.01 * bound, 0.0, 0.0) is not None
+    assert soak.watch.check(0.99 * bound, 0.0, 0.0) is None
+    assert soak.watch.check(1.01 * bound, 0.0, 0.0) is not None
 
 
 def test_what_a_hand_moves_is_no_travel(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -388,8 +388,8 @@ def test_what_a_hand_moves_is_no_travel(monkeypatch: pytest.MonkeyPatch) -> None
     soak.watch.begin(-1.0, 0.0, 0.0)
     bound = travel_bound(soak.axis.design, 0.0, -1.0)
     soak.watch.moved_by_hand(0.0, 500.0)
-    assert soak.watch.look(500.0 + 0.99 * bound, 0.0, 0.0) is None
-    assert soak.watch.look(500.0 + 1.01 * bound, 0.0, 0.0) is not None
+    assert soak.watch.check(500.0 + 0.99 * bound, 0.0, 0.0) is None
+    assert soak.watch.check(500.0 + 1.01 * bound, 0.0, 0.0) is not None
 
 
 def test_an_encoder_fails_on_a_drive_that_obeys(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from twostage_servo.axis.state import State
 from twostage_servo.config.loader import load
-from twostage_servo.faults.checks import noticed_early
+from twostage_servo.faults.checks import trips_early
 from twostage_servo.faults.world import World
 
 
@@ -39,5 +39,5 @@ def tripped_after(distance: float, tick_ms: float) -> World:
 def test_a_wrong_encoder_is_noticed_early_within_ten_gates_or_the_samples_that_it_takes(
     tick_ms: float, distance: float, *, in_time: bool
 ) -> None:
-    wrong = asyncio.run(noticed_early(tripped_after(distance, tick_ms)))
+    wrong = asyncio.run(trips_early(tripped_after(distance, tick_ms)))
     assert (wrong is None) is in_time

@@ -104,11 +104,11 @@ class AxisSoak:
             axis.record_heartbeat(drive.boots)
         command = axis.step()
         drive.obey(command, tick)
-        self.invariants.look(
+        self.invariants.check(
             command, drive.position, place_known=not (self.watch.in_doubt or self.drive_watch.disobeyed)
         )
-        wrong = self.watch.look(drive.position, drive.velocity, command.effort)
-        wrong = wrong or self.drive_watch.look(reported=axis.drive.enabled_report is not None)
+        wrong = self.watch.check(drive.position, drive.velocity, command.effort)
+        wrong = wrong or self.drive_watch.check(reported=axis.drive.enabled_report is not None)
         if wrong is not None:
             raise BrokenInvariantError(wrong)
         if axis.trip is not self._reported_trip:

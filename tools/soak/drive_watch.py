@@ -61,8 +61,8 @@ class DriveWatch:
         self._anchor = None
         self._ticks_heard = 0
 
-    def look(self, *, reported: bool) -> str | None:
-        """Look at a tick in which the drive has reported, or not; return what is wrong, or None."""
+    def check(self, *, reported: bool) -> str | None:
+        """Check a tick in which the drive has reported, or not; return what is wrong, or None."""
         axis, drive = self._axis, self._drive
         if axis.state in ENABLED:
             self._ticks_enabled = 0
@@ -79,7 +79,7 @@ class DriveWatch:
         if drive.enabled:
             self._ticks_enabled += reported
             return self._say_enabled() if self._ticks_enabled > self._allowed_ticks else None
-        return None if self._anchor is None else self._look_at_motion(drive.position - self._anchor)
+        return None if self._anchor is None else self._check_motion(drive.position - self._anchor)
 
     def _say_enabled(self) -> str | None:
         axis = self._axis
@@ -94,7 +94,7 @@ class DriveWatch:
             return None
         return f"{told}, and a reset would be carried out"
 
-    def _look_at_motion(self, moved: float) -> str | None:
+    def _check_motion(self, moved: float) -> str | None:
         seen = self._ticks_heard > _SLACK_TICKS and abs(moved) > self._coasting + self._unseen()
         if not seen or self._axis.disabled.moved is not None:
             return None

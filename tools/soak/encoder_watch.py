@@ -170,7 +170,7 @@ class EncoderWatch:
             self._speed = max(self._speed, velocity)
             self._set_bound()
 
-    def look(self, position: float, speed: float, effort: float) -> str | None:
+    def check(self, position: float, speed: float, effort: float) -> str | None:
         """Look at the true axis (axis unit, axis unit/s) and its effort after a tick; say what is wrong, or None.
 
         An encoder that stands still at an axis too slow for its jump to show is friction's double: until the effort has
@@ -180,7 +180,7 @@ class EncoderWatch:
         self._speeds.append(abs(speed))
         self._fastest = max(kept_in(_FADING, self._axis.design.period_s) * self._fastest, abs(speed))
         begins, self._was_driven = not self._was_driven, self._axis.state in DRIVEN
-        if begins and self._was_driven and (wrong := self._look_at_arming(position, speed)):
+        if begins and self._was_driven and (wrong := self._check_arming(position, speed)):
             return wrong
         if not self.active:
             return None
@@ -207,7 +207,7 @@ class EncoderWatch:
         self._is_slow = self._is_slow and speed < self._certain_speed()
         return self._is_slow
 
-    def _look_at_arming(self, position: float, speed: float) -> str | None:
+    def _check_arming(self, position: float, speed: float) -> str | None:
         """Look at an axis that has been armed, at a true position and speed; return what is wrong, or None."""
         believed = self._axis.estimate.position
         if not self._axis.referenced:

@@ -48,7 +48,7 @@ class Invariants:
         self.ticks = 0
         self.farthest = 0.0
 
-    def look(self, command: Command, position: float, *, place_known: bool = True) -> None:
+    def check(self, command: Command, position: float, *, place_known: bool = True) -> None:
         """Look at what goes to the drive, and at the true position in axis unit.
 
         Parameters
@@ -81,7 +81,7 @@ class Invariants:
         self._tripped = state is State.TRIPPED
         if not place_known:
             return
-        self._look_at_belief(state, position)
+        self._check_belief(state, position)
         beyond = max(position - self._high, self._low - position)
         self.farthest = max(self.farthest, beyond / self._farthest_allowed)
         if beyond > self._farthest_allowed:
@@ -89,7 +89,7 @@ class Invariants:
                 f"the axis is {beyond:.4g} beyond its limits, {self._farthest_allowed:.4g} is the most"
             )
 
-    def _look_at_belief(self, state: State, position: float) -> None:
+    def _check_belief(self, state: State, position: float) -> None:
         """Compare where an axis that moves as it was asked to takes itself to be with where it is.
 
         What it may be off: two innovation gates, for one that was passed and one that was bridged, and what it goes

@@ -80,12 +80,12 @@ class ServiceMishaps:
         """Let one of them happen."""
         await self._random.choice(self._mishaps)()
 
-    def look(self) -> None:
-        """Look at a tick: a load acts while the drive is enabled, since an axis that can fall has a brake."""
+    def check(self) -> None:
+        """Check a tick: a load acts while the drive is enabled, since an axis that can fall has a brake."""
         world = self._world
         if world.drive.faults.load and not world.drive.enabled:
             world.change(load=0.0)
-        self.broken = self.broken or self._drive_watch.look(reported=world.axis.drive.enabled_report is not None)
+        self.broken = self.broken or self._drive_watch.check(reported=world.axis.drive.enabled_report is not None)
 
     @property
     def drive_disobeys(self) -> bool:

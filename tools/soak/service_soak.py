@@ -98,7 +98,7 @@ class ServiceSoak:
     async def _operate(self, world: World, clients: BadClients, until: int) -> None:
         self.watch, self.invariants = EncoderWatch(world.axis), Invariants(world.axis)
         mishaps = ServiceMishaps(world, clients, self.watch, self.random, self.without)
-        world.loop.listen(lambda _: self._look(world, mishaps))
+        world.loop.listen(lambda _: self._check(world, mishaps))
         while self.ticks < until and not mishaps.has_ended:
             await asyncio.sleep(self.random.expovariate(1.0 / self._pace_s) * 100.0 * world.period_s)
             if world.serving.done() and not mishaps.has_ended:
@@ -112,16 +112,16 @@ class ServiceSoak:
                 break  # only a hand could bring it back
         self.encoder_faults += mishaps.encoder_faults
 
-    def _look(self, world: World, mishaps: ServiceMishaps) -> None:
+    def _check(self, world: World, mishaps: ServiceMishaps) -> None:
         command, position = world.axis_loop.command, world.drive.position
-        self.invariants.look(command, position, place_known=not (self.watch.in_doubt or mishaps.drive_disobeys))
+        self.invariants.check(command, position, place_known=not (self.watch.in_doubt or mishaps.drive_disobeys))
         self.ticks = self._ticks_before + self.invariants.ticks
         self.farthest = max(self.farthest, self.invariants.farthest)
-        wrong = self.watch.look(position, world.drive.velocity, command.effort)
+        wrong = self.watch.check(position, world.drive.velocity, command.effort)
         self.closest = max(self.closest, self.watch.closest)
         if wrong is not None:
             raise BrokenInvariantError(wrong)
-        mishaps.look()
+        mishaps.check()
         is_homing = world.axis.state is State.HOMING
         if (
             self._was_homing

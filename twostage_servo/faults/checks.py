@@ -72,7 +72,7 @@ async def right_or_not_trusted(world: World) -> str | None:
     return None if apart <= allowed else f"the axis trusts its position, which is off by {apart:.4g}"
 
 
-async def noticed_early(world: World) -> str | None:
+async def trips_early(world: World) -> str | None:
     """Check that the trip came before the axis had gone ten times the innovation gate: 5 mm with 0.5 mm.
 
     On a long tick it goes farther in the samples that it takes, at its cruise velocity: the fault falls before them.

@@ -23,7 +23,6 @@ from twostage_servo.faults.checks import (
     ended_with_an_error,
     log_dropped,
     needs_homing,
-    noticed_early,
     only_off_the_switch,
     refused_all,
     rejected_some,
@@ -32,6 +31,7 @@ from twostage_servo.faults.checks import (
     still_seen,
     told_how_far,
     told_in_time,
+    trips_early,
     within_stall_effort,
 )
 from twostage_servo.faults.frames import protocol_of
@@ -360,7 +360,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
           again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
     Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
-          check=noticed_early, again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=too_slow),
+          check=trips_early, again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=too_slow),
     Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True,
           phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=either(too_slow, hidden_by_noise)),
     Fault(22, "scale halved", _D.scaled(0.5), QUICK, lambda budget: budget.halved_scale(), idle=QUICK, again=True,
