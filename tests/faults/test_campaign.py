@@ -253,7 +253,7 @@ def run(number: int, phase: Phase, name: str = "", seed: int = 1) -> Cell:
 
 def test_a_run_without_ticks_to_compare_is_wrong(campaign: Campaign) -> None:
     def look_away(world: World, _: object) -> None:
-        world.keeps_samples = False
+        world.keep_no_samples()
 
     fault = next(fault for fault in TABLE if fault.number == 41)
     cell = campaign.run(dataclasses.replace(fault, inject=look_away), Phase.HOLDING)

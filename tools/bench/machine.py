@@ -115,9 +115,7 @@ class Machine:
 
     def send_afar(self, service: "Service") -> None:
         """Let the axis set out on a long move, from the end where it is to the other."""
-        if not service.driven:
-            service.insist(op="arm")
-            service.driven = True
+        service.arm_once()
         where = {"positions": dict.fromkeys(self._axes, self._far)} if self._axes else {"position": self._far}
         service.insist(op="move", velocity=100.0, **where)
         self._far = -self._far
@@ -145,14 +143,12 @@ class Service:
         Its process.
     start_s
         From the start of the process to its first answer, s.
-    driven
-        Whether the axis has been armed.
     """
 
     def __init__(self, process: "subprocess.Popen[str]", client: Connection, start_s: float) -> None:
         self.process = process
         self.start_s = start_s
-        self.driven = False
+        self._is_armed = False
         self._client = client
 
     def ask(self, **request: Any) -> dict[str, Any]:
@@ -167,6 +163,12 @@ class Service:
             return self._client.ask(read_request(request))
         except ServoError as error:
             raise ChildError(f"the service refuses {request}: {error}") from error
+
+    def arm_once(self) -> None:
+        """Arm the axis, unless this was done before."""
+        if not self._is_armed:
+            self.insist(op="arm")
+            self._is_armed = True
 
     def insist(self, **request: Any) -> None:
         """Ask for something until it is not refused any more: the drive may not have been heard yet.

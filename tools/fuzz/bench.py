@@ -125,6 +125,8 @@ class Bench:
         The configuration.
     rng
         Where everything random comes from.
+    prepare
+        What is done before each tick; :meth:`idle` by default.
 
     Attributes
     ----------
@@ -136,7 +138,7 @@ class Bench:
         How many periods the latest command acts.
     """
 
-    def __init__(self, drive: Drive, rng: random.Random) -> None:
+    def __init__(self, drive: Drive, rng: random.Random, prepare: Callable[[], Awaitable[None]] | None = None) -> None:
         self.drive, self.rng = drive, rng
         self.bus = MadeUpBus(stamps=rng.random() < 0.5)
         interface = "socketcand" if rng.random() < 0.3 else "virtual"  # whose error frames mean something, or do not
@@ -158,7 +160,7 @@ class Bench:
         self.command_number = axis_loop.drive.command_id.identifier
         self.listened = {identifier.identifier for identifier in axis_loop.drive.decoders}
         self.feedback_number = axis_loop.drive.feedback_id.identifier
-        self.prepare: Callable[[], Awaitable[None]] = self.idle
+        self.prepare = prepare or self.idle
         self.position = self.sample = self.velocity = 0.0
         self.counter = self.boots = 0
         self.missed_next, self.lateness_next_s, self.periods_ahead = 0, 0.0, 1

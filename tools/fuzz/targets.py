@@ -63,11 +63,10 @@ class SocketTarget:
 
     def __init__(self) -> None:
         quiet_log()
-        self._bench = Bench(all_drives()[0], reproducible("socket"))
+        self._bench = Bench(all_drives()[0], reproducible("socket"), self._wait)
         self._socket_rig = ControlSocketRig(self._bench, Path(tempfile.gettempdir()) / "never listened on")
         self._loop = BenchLoop()
         self._go: asyncio.Event = asyncio.Event()
-        self._bench.prepare = self._wait
         self._ticks_to_go = 0
         self._waiting: asyncio.Event = asyncio.Event()
         self._service = self._loop.create_task(self._bench.service.run())

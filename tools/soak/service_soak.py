@@ -83,7 +83,7 @@ class ServiceSoak:
         overrides = [f"simulation.seed={self.seed}", f"simulation.noise_std={noise!r}"]
         with tempfile.TemporaryDirectory(prefix="soak-") as folder:
             async with operate(self.configuration.load(*overrides)) as world:
-                world.keeps_samples = False
+                world.keep_no_samples()
                 control = world.loop.control_socket(Path(folder) / "control.sock")
                 await control.start()
                 clients = BadClients(control.path, random)

@@ -194,9 +194,8 @@ def retarget(world: World, random: Random) -> None:
     """Send another set-point, up to a quarter of the move away from the present one."""
     span = LARGEST_RETARGET * abs(world.target - world.start)
     limits = world.axis.settings.limits
-    world.target = min(
-        max(world.target + random.uniform(-span, span), limits.position_minimum), limits.position_maximum
-    )
+    target = world.target + random.uniform(-span, span)
+    world.aim(min(max(target, limits.position_minimum), limits.position_maximum))
     world.axis.move_to(world.target, world.velocity)
 
 

@@ -119,16 +119,14 @@ class Script:
                 world.axis.stop(quick=self._phase is Phase.QUICK_STOPPING)
                 await world.seconds(AFTER_THE_STOP_S)
             if self._phase is Phase.HOLDING:
-                world.start, world.target = world.target, world.start  # the next move goes back
+                world.turn_back()  # with the next move
             fault_s, self._states_before = world.now_s, len(world.samples)
             world.forget_companions()
             self._begun_s, self._place = fault_s, world.place()
             self._fault_place = self._place
-            world.fault_s = world.begun_s = fault_s
-            world.fault_place = self._place
+            world.begin_fault(fault_s, self._place, () if self._reference is None else self._reference.samples)
             self._to_go = abs(world.target - self._place)
             if self._reference is not None:
-                world.undisturbed = self._reference.samples
                 self._fault.inject(world, self._sizes)
             await self._go_on(world)
             await world.seconds(self._fault.shows_s(self._config))
@@ -157,19 +155,19 @@ class Script:
     def _plan(self, world: World) -> None:
         cruise_s = LONG_CRUISE_S if self._fault.velocity_limit else CRUISE_S
         axis = self._config.axis
-        world.velocity = axis.limits.velocity if self._fault.velocity_limit else axis.cruise_velocity
-        world.start = world.drive.position
-        share = self._random.random()
-        world.target = plan_target(self._design, world.start, world.velocity, share, cruise_s)
+        velocity = axis.limits.velocity if self._fault.velocity_limit else axis.cruise_velocity
+        start, share = world.drive.position, self._random.random()
+        target = plan_target(self._design, start, velocity, share, cruise_s)
         if self._phase is Phase.HOMING:
             homing = world.axis.settings.homing
-            world.velocity = homing.velocity if homing.method == "switch" else homing.slow_velocity
-            world.target = world.start + (homing.travel if homing.direction == "positive" else -homing.travel)
+            velocity = homing.velocity if homing.method == "switch" else homing.slow_velocity
+            target = start + (homing.travel if homing.direction == "positive" else -homing.travel)
+        world.plan(start, target, velocity)
 
     async def _prepare(self, world: World) -> None:
         ahead = {Phase.IDLE: 0.5, Phase.ACCELERATING: 0.02, Phase.CRUISING: 0.5, Phase.CHANGEOVER: 0.9}
         share = ahead.get(self._phase, 0.99)
-        world.wrap_in = share * (world.target - world.start)
+        world.plan_wrap(share * (world.target - world.start))
         assert self._fault.prepare is not None  # noqa: S101 - the caller has looked
         self._fault.prepare(world)
         await world.until(lambda: not world.axis.drive.is_stale, _READY_S)
@@ -246,7 +244,7 @@ class Script:
         else:
             await self._follow(world)
         if self._fault.again and world.axis.trip is None:
-            world.start, world.target = world.target, world.start
+            world.turn_back()
             await self._move(world)
 
     async def _try_to_arm(self, world: World) -> bool:
@@ -270,7 +268,7 @@ class Script:
         """Move, if the axis can; from here on the travel counts."""
         if world.axis.trip is None and not world.service.shutdown.is_ending:
             self._begun_s, self._place = world.now_s, world.place()
-            world.begun_s, world.fault_place = self._begun_s, self._place
+            world.begin_travel(self._begun_s, self._place)
             try:
                 world.axis.move_to(world.target, world.velocity)
             except Refused as refused:

@@ -146,6 +146,36 @@ class World:
         """The direction in which the axis moves, or will: 1 or -1."""
         return math.copysign(1.0, self.target - self.start)
 
+    def plan(self, start: float, target: float, velocity: float) -> None:
+        """Have a move before it: axis unit and axis unit/s."""
+        self.start, self.target, self.velocity = start, target, velocity
+
+    def plan_wrap(self, wrap_in: float) -> None:
+        """Let the encoder wrap so far ahead, in axis unit."""
+        self.wrap_in = wrap_in
+
+    def aim(self, target: float) -> None:
+        """Have another set-point, in axis unit, before it."""
+        self.target = target
+
+    def turn_back(self) -> None:
+        """Have the way back before it."""
+        self.start, self.target = self.target, self.start
+
+    def begin_fault(self, now_s: float, place: float, undisturbed: Sequence[Sample]) -> None:
+        """Record when (s) and where (axis unit) the fault begins, and the samples of the run without it."""
+        self.fault_s = now_s
+        self.undisturbed = undisturbed
+        self.begin_travel(now_s, place)
+
+    def begin_travel(self, now_s: float, place: float) -> None:
+        """Record when (s) and where (axis unit) the travel that counts begins."""
+        self.begun_s, self.fault_place = now_s, place
+
+    def keep_no_samples(self) -> None:
+        """Keep no samples from here on."""
+        self.keeps_samples = False
+
     def place(self) -> float:
         """Return the true position at this very moment, in axis unit."""
         self.change()
