@@ -25,9 +25,10 @@ from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.faults.campaign import Campaign
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.configuration import ConfigurationFaults
+from twostage_servo.faults.phase import Phase
 from twostage_servo.faults.report import as_json, as_markdown, as_page, as_text
 from twostage_servo.faults.runner import Result
-from twostage_servo.faults.table import MEANINGS, TABLE, Fault, Phase
+from twostage_servo.faults.table import MEANINGS, TABLE, Fault
 from twostage_servo.faults.world import World
 from twostage_servo.service.ending_signals import EndingSignals
 from twostage_servo.service.log import open_log

@@ -14,7 +14,8 @@ from twostage_servo.config.machine import load_machine
 from twostage_servo.faults.campaign import Campaign
 from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.limits import Motion
-from twostage_servo.faults.table import BRAKED, TABLE, Phase
+from twostage_servo.faults.phase import BRAKED, Phase
+from twostage_servo.faults.table import TABLE
 from twostage_servo.faults.world import World
 from twostage_servo.service.axis_group import AxisGroup
 from twostage_servo.service.log import open_log

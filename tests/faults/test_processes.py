@@ -34,10 +34,10 @@ from twostage_servo.faults.frames import compile_profile
 from twostage_servo.faults.hosted import HostedRun
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import Listener, Operator, Order, RefusalError, Report, Snapshot
+from twostage_servo.faults.phase import Phase
 from twostage_servo.faults.plan import plan_target
 from twostage_servo.faults.processes import HostedFault, hosted_cells, run_hosted
 from twostage_servo.faults.script import NotOperableError
-from twostage_servo.faults.table import Phase
 from twostage_servo.faults.watchdog import Watchdog
 from twostage_servo.service.notify import Notifier
 
@@ -166,7 +166,7 @@ def test_what_never_starts_is_an_error_and_is_cleared_away(monkeypatch: pytest.M
 ONE_CELL = """
 import signal
 from twostage_servo.faults.processes import run_hosted
-from twostage_servo.faults.table import Phase
+from twostage_servo.faults.phase import Phase
 signal.signal(signal.SIGINT, signal.default_int_handler)
 print("begun", flush=True)
 run_hosted(37, Phase.CRUISING, None, (), 1)

@@ -8,14 +8,10 @@ from twostage_servo.cli.configuration import add_options, configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
 from twostage_servo.cli.typed_numbers import whole
 from twostage_servo.config.files import find_configuration
+from twostage_servo.faults.phase import Phase
 
 if TYPE_CHECKING:
     from twostage_servo.faults.cell import Cell
-
-_PHASES = (
-    "idle", "accelerating", "cruising", "change-over", "settling", "holding", "homing", "jogging", "stopping",
-    "quick stopping",
-)  # fmt: skip
 
 
 def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:
@@ -31,7 +27,9 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     )
     add_options(faults, required=False)
     faults.add_argument("--fault", type=whole, action="append", metavar="N", help="only this fault; may be repeated")
-    faults.add_argument("--phase", choices=_PHASES, action="append", help="only this phase; may be repeated")
+    faults.add_argument(
+        "--phase", choices=[phase.value for phase in Phase], action="append", help="only this phase; may be repeated"
+    )
     faults.add_argument(
         "--seed", type=whole, default=1, metavar="N", help="seed of noise, sizes and moments (default 1)"
     )
@@ -44,7 +42,6 @@ def _faults(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.faults.report import as_json, as_page, as_text
     from twostage_servo.faults.runner import run_campaign
     from twostage_servo.faults.script import NotOperableError
-    from twostage_servo.faults.table import Phase
 
     if not 0 <= options.seed < 2**63:
         raise CommandError(ExitCode.USAGE, "usage", f"--seed {options.seed}: must be from 0 to 2^63 - 1")

@@ -8,8 +8,8 @@ from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.state import State
 from twostage_servo.faults.bench import Bench, BenchError
 from twostage_servo.faults.listening import Snapshot
+from twostage_servo.faults.phase import Phase
 from twostage_servo.faults.plan import cruise_end, plan_target, settling_begin
-from twostage_servo.faults.table import Phase
 
 _TRIES = 8
 """Moves until the phase is met: a busy machine may show it when it has passed already."""

@@ -14,18 +14,17 @@ from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.frames import compile_profile, protocol_of
 from twostage_servo.faults.limits import Motion
+from twostage_servo.faults.phase import SEARCHING, Phase
 from twostage_servo.faults.script import Outcome, Script
 from twostage_servo.faults.table import (
     DISABLED,
     HELD,
     QUICK,
     REFUSED,
-    SEARCHING,
     STOPPED,
     TABLE,
     TOLERATED,
     Fault,
-    Phase,
 )
 from twostage_servo.timing.virtual_clock import run
 

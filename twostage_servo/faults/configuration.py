@@ -11,7 +11,8 @@ from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.frames import compile_profile, protocol_of
-from twostage_servo.faults.table import REFUSED, TOLERATED, Phase
+from twostage_servo.faults.phase import Phase
+from twostage_servo.faults.table import REFUSED, TOLERATED
 
 _MISSING = "stale_feedback_ms"
 _STEPS = 40

@@ -18,7 +18,8 @@ from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.launch import LONGEST_S
 from twostage_servo.faults.listening import Order, Snapshot
-from twostage_servo.faults.table import DISABLED, HELD, TOLERATED, Phase
+from twostage_servo.faults.phase import Phase
+from twostage_servo.faults.table import DISABLED, HELD, TOLERATED
 from twostage_servo.faults.watchdog import Watchdog
 from twostage_servo.faults.world import Sample
 

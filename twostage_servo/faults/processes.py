@@ -17,8 +17,9 @@ from twostage_servo.faults.cell import Cell
 from twostage_servo.faults.hosted import ENDED, HUNG, KILLED, STOPPED, HostedRun
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import RefusalError
+from twostage_servo.faults.phase import ALL, Phase
 from twostage_servo.faults.script import NotOperableError
-from twostage_servo.faults.table import ALL, TOLERATED, Phase
+from twostage_servo.faults.table import TOLERATED
 
 POWER_CUT = 54
 POWER_CUTS = 20

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 
 from twostage_servo.api.fields import JsonObject
 from twostage_servo.faults.cell import Cell, NotApplicable
+from twostage_servo.faults.phase import ALL, BRAKED, SEARCHING
 from twostage_servo.faults.runner import Result
-from twostage_servo.faults.table import ALL, BRAKED, MEANINGS, PROCESS_FAULTS, SEARCHING, TABLE
+from twostage_servo.faults.table import MEANINGS, PROCESS_FAULTS, TABLE
 from twostage_servo.html_pages import page
 
 _NOTES = {fault.name: fault.note for fault in TABLE if fault.note}

@@ -11,7 +11,8 @@ from twostage_servo.config.machine import load_machine
 from twostage_servo.faults.campaign import Campaign
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.configuration import ConfigurationFaults
-from twostage_servo.faults.table import PROCESS_FAULTS, TABLE, Phase
+from twostage_servo.faults.phase import Phase
+from twostage_servo.faults.table import PROCESS_FAULTS, TABLE
 from twostage_servo.service.log import open_log
 from twostage_servo.worker_process import end_with_parent
 

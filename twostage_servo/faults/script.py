@@ -10,16 +10,14 @@ from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import COMMANDED, State
 from twostage_servo.config.machine import Machine
 from twostage_servo.control.laws.law import Stage
+from twostage_servo.faults.phase import BRAKED, SEARCHING, Phase
 from twostage_servo.faults.plan import CRUISE_S, LONG_CRUISE_S, cruise_end, plan_target, settling_begin
 from twostage_servo.faults.table import (
-    BRAKED,
     HELD,
     LETTERS,
     REFUSED,
-    SEARCHING,
     TOLERATED,
     Fault,
-    Phase,
 )
 from twostage_servo.faults.world import Sample, World, operate
 from twostage_servo.timing.ticks import Tick

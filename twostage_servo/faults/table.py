@@ -1,6 +1,5 @@
 """The faults that the axis must meet, as data: what is injected, in which phases, what is expected, and its budget."""
 
-import enum
 import math
 import signal
 from collections.abc import Callable
@@ -36,40 +35,11 @@ from twostage_servo.faults.checks import (
 )
 from twostage_servo.faults.frames import protocol_of
 from twostage_servo.faults.limits import Limit, either, hidden_by_noise, looks_like_the_model, too_slow
+from twostage_servo.faults.phase import ALL, ARMED, BRAKED, EVERYWHERE, MOVING, SEARCHING, Phase
 from twostage_servo.faults.world import World
-
-
-class Phase(enum.StrEnum):
-    """What the axis does when the fault begins."""
-
-    IDLE = "idle"
-    ACCELERATING = "accelerating"
-    CRUISING = "cruising"
-    CHANGEOVER = "change-over"
-    SETTLING = "settling"
-    HOLDING = "holding"
-    HOMING = "homing"
-    """It looks for its reference, at the velocity of the search."""
-    JOGGING = "jogging"
-    """It moves for as long as the operator asks for it."""
-    STOPPING = "stopping"
-    """It brakes since the operator's `stop` in a cruise."""
-    QUICK_STOPPING = "quick stopping"
-    """It brakes since the operator's `stop --quick` in a cruise."""
-
 
 PROCESS_FAULTS = (37, 38, 39, 42, 54)
 """Faults that need real processes, in real time."""
-
-MOVING = (Phase.ACCELERATING, Phase.CRUISING, Phase.CHANGEOVER, Phase.SETTLING)
-ARMED = (*MOVING, Phase.HOLDING)
-ALL = (Phase.IDLE, *ARMED)
-"""The phases of a move."""
-SEARCHING = (Phase.HOMING, Phase.JOGGING)
-"""Motion without a set-point: the severe faults begin in it as well."""
-EVERYWHERE = (*ALL, *SEARCHING)
-BRAKED = (Phase.STOPPING, Phase.QUICK_STOPPING)
-"""An operator's stop: an encoder that fails in it takes away what brakes the axis."""
 
 TOLERATED, HELD, STOPPED, QUICK, DISABLED, REFUSED = "T", "H", "S", "Q", "Z", "R"
 LETTERS = {
