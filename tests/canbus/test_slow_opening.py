@@ -175,6 +175,6 @@ def test_an_opening_that_came_just_before_it_was_given_up_is_shut_down() -> None
     link = link_to(blocked.bus)
     attempt = _Attempt(link)
     attempt.run()
-    attempt.give_up()
+    attempt.abandon()
     assert blocked.is_shut_down.is_set()
     assert not link.is_open

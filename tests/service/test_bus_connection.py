@@ -61,7 +61,7 @@ def test_a_bus_that_does_not_close_is_waited_for_a_second_and_told(
         if not hangs:
             loop.call_later(0.5, closing.set_result, None)
         link = Link(BUS, [])
-        monkeypatch.setattr(link, "let_go", lambda: closing)
+        monkeypatch.setattr(link, "close_in_thread", lambda: closing)
         await BusConnection(link, 0.01).close()
         return loop.time()
 
@@ -87,7 +87,7 @@ def test_attempts_to_open_the_bus_are_the_reopen_interval_apart_also_those_that_
                 raise LinkError("no such device")
 
         monkeypatch.setattr(link, "open_in_thread", open_in_thread)
-        monkeypatch.setattr(link, "let_go", lambda: None)
+        monkeypatch.setattr(link, "close_in_thread", lambda: None)
         bus.start()
         await asyncio.sleep(10.0)
         assert bus.error is None

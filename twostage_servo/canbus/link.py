@@ -147,7 +147,7 @@ class Link:
         try:
             await opening
         except asyncio.CancelledError:
-            attempt.give_up()
+            attempt.abandon()
             raise
         finally:
             del opening  # it holds the error, whose traceback holds this frame
@@ -158,7 +158,7 @@ class Link:
         if bus is not None:
             self._shut_down(bus)
 
-    def let_go(self) -> "asyncio.Future[None] | None":
+    def close_in_thread(self) -> "asyncio.Future[None] | None":
         """Give up the bus, for a running loop that must not wait: an interface of python-can may block in its shutdown.
 
         Returns
@@ -361,19 +361,19 @@ class _Attempt:
         self._link = link
         self._lock = threading.Lock()
         self._is_done = False
-        self._is_given_up = False
+        self._is_abandoned = False
 
     def run(self) -> None:
         """Open the bus, in the thread; close it again if nobody waits for it any more."""
         self._link.open()
         with self._lock:
             self._is_done = True
-            if self._is_given_up:
+            if self._is_abandoned:
                 self._link.close()
 
-    def give_up(self) -> None:
+    def abandon(self) -> None:
         """Let the thread close what comes of it; what has come already is closed here."""
         with self._lock:
-            self._is_given_up = True
+            self._is_abandoned = True
             if self._is_done:
                 self._link.close()

@@ -176,7 +176,7 @@ def _sentence(summary: dict[str, Any]) -> str:
         f"Axis {summary['axis']} on {bus['interface']} {bus['channel']}, command 0x{frames['command']:x}, feedback "
         f"0x{frames['feedback']:x}; change-over {summary['changeover_distance']:.4g} {unit} before the set-point at "
         f"{summary['cruise_velocity']:g} {unit}/s.\n"
-        f"An encoder that turns round or changes its scale is certain after {detection['travel']:.4g} {unit} at most "
+        f"An encoder whose sign or scale changes is detected within {detection['travel']:.4g} {unit} "
         f"({detection['allowed']:g} allowed); {slowest}.\n"
         f"If this host dies, only the drive stops the axis: {summary['dead_host']}."
         + "".join(f"\nNote: {note}." for note in summary["notes"])

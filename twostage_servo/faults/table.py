@@ -329,7 +329,7 @@ TABLE: tuple[Fault, ...] = (
           note="while disarmed, a jump that `overspeed` allows looks like a push by hand"),
     Fault(20, "value frozen, counter alive", _D.frozen, QUICK, lambda budget: budget.blind_encoder(), idle=QUICK,
           again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED),
-    Fault(21, "sign turned round", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
+    Fault(21, "sign reversed", _D.scaled(-1.0), QUICK, lambda budget: budget.wrong_encoder(), idle=QUICK,
           check=trips_early, again=True, phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=too_slow),
     Fault(22, "scale doubled", _D.scaled(2.0), QUICK, lambda budget: budget.doubled_scale(), idle=QUICK, again=True,
           phases=(*EVERYWHERE, *BRAKED), instead=DISABLED, limit=either(too_slow, hidden_by_noise)),

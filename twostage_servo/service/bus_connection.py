@@ -91,7 +91,7 @@ class BusConnection:
         if self._opening is not None:
             self._opening.cancel()
             await asyncio.gather(self._opening, return_exceptions=True)
-        closing = self.link.let_go()
+        closing = self.link.close_in_thread()
         if closing is not None and not (await asyncio.wait([closing], timeout=_LONGEST_CLOSING_S))[0]:
             self._log.warning("the bus does not close", waited_s=_LONGEST_CLOSING_S)
 
@@ -189,7 +189,7 @@ class BusConnection:
         for subscriber in self._subscribers:
             subscriber.lose(self.error)
         self._lacked_carrier = False
-        self.link.let_go()
+        self.link.close_in_thread()
         self.start()
 
     async def _keep_trying_to_open(self) -> None:
