@@ -355,7 +355,7 @@ def test_a_trip_for_which_there_is_no_memory_and_no_word_is_seen(monkeypatch: py
 
 def test_a_socket_that_is_not_made_again_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(SocketFile, "_bind_again", lambda _: None)
-    assert "a new client cannot connect" in cell_of(65).wrong
+    assert "a new client is not served: no service answers" in cell_of(65).wrong
 
 
 def test_the_process_gets_back_what_a_fault_has_taken_from_it() -> None:
