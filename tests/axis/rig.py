@@ -75,6 +75,7 @@ class AxisRig:
 
     axis: Axis = field(default_factory=lambda: Axis(design_axis(axis_settings(), PERIOD_S), TRAITS))
     plant: Plant = field(default_factory=lambda: Plant(180.0, 14.0))
+    period_s: float = PERIOD_S
     load: float = 0.0
     position: float = 0.0
     velocity: float = 0.0
@@ -115,12 +116,12 @@ class AxisRig:
         return command
 
     def move(self, effort: float) -> None:
-        sampled, total = self.plant.discretise(PERIOD_S), effort - self.load
+        sampled, total = self.plant.discretise(self.period_s), effort - self.load
         self.position += sampled.a12 * self.velocity + sampled.b1 * total
         self.velocity = sampled.a22 * self.velocity + sampled.b2 * total
 
     def seconds(self, duration_s: float) -> "AxisRig":
-        for _ in range(round(duration_s / PERIOD_S)):
+        for _ in range(round(duration_s / self.period_s)):
             self.tick()
         return self
 

@@ -98,6 +98,24 @@ def test_an_encoder_that_turns_round_in_a_stop_runs_nowhere(innovation: float, p
     assert abs(rig.position - at) < rig.axis.settings.limits.position_overrun
 
 
+@pytest.mark.parametrize("period_s", [0.001, 0.002, 0.005, 0.01, 0.02])
+@pytest.mark.parametrize("asked", ["hold", "stop", "disarm"])
+def test_an_encoder_that_turns_round_as_somebody_pushes_the_axis_is_told_on_any_tick(
+    asked: str, period_s: float
+) -> None:
+    """On a plant off its model. On a tick of 1 ms it went 23 mm: an encoder that stands still seemed to explain it."""
+    axis = Axis(design_axis(axis_settings(), period_s), TRAITS)
+    rig = AxisRig(axis, Plant(1.23 * 180.0, 0.7 * 14.0), period_s=period_s).armed()
+    at, rig.velocity = rig.position, -35.0
+    change(rig, -1.0)
+    {"hold": lambda: None, "stop": axis.stop, "disarm": axis.disarm}[asked]()
+    rig.seconds(1.5)
+    assert abs(rig.position - at) < 10.5
+    if asked != "disarm":
+        assert axis.trip is not None
+        assert axis.trip.code in IN_DOUBT
+
+
 @pytest.mark.parametrize("counts", [-1.0, 0.5, 2.0])
 def test_a_jog_is_watched_as_a_move_is(counts: float) -> None:
     rig = rig_of(5.0).armed()

@@ -58,17 +58,19 @@ async def connecting_client(path: Path) -> None:
 async def fifty_clients(path: Path) -> None:
     """Fifty operators at once: some watch, some ask for the status, some ask for what is refused."""
     kinds = (StatusRequest(), MoveRequest(position=_BEYOND))
-    connections = [AsyncConnection(path, _LONGEST_ANSWER_S) for _ in range(_CLIENTS)]
-    for connection in connections:
-        await connection.open(_LONGEST_ANSWER_S)
-    async with asyncio.TaskGroup() as group:
-        for number, connection in enumerate(connections):
-            if number % 5 == 0:
-                group.create_task(_keep_watching(connection))
-            else:
-                request = RecordingRequest() if number == 1 else kinds[number % 2]
-                group.create_task(_keep_asking(connection, request, _INTERVAL_S * number / _CLIENTS))
-        print("ready", flush=True)
+    with contextlib.ExitStack() as opened:
+        connections = [AsyncConnection(path, _LONGEST_ANSWER_S) for _ in range(_CLIENTS)]
+        for connection in connections:
+            opened.callback(connection.close)
+            await connection.open(_LONGEST_ANSWER_S)
+        async with asyncio.TaskGroup() as group:
+            for number, connection in enumerate(connections):
+                if number % 5 == 0:
+                    group.create_task(_keep_watching(connection))
+                else:
+                    request = RecordingRequest() if number == 1 else kinds[number % 2]
+                    group.create_task(_keep_asking(connection, request, _INTERVAL_S * number / _CLIENTS))
+            print("ready", flush=True)
 
 
 async def _keep_watching(connection: AsyncConnection) -> None:

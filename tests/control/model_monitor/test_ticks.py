@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from tests.control.model_monitor.test_monitor import PERIOD_S, PLANT, Bench
 from twostage_servo.control.model_monitor.encoder_change import EncoderChange
 from twostage_servo.control.model_monitor.hypotheses import Deviation, LateEffort, forgetting
+from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel
 
 TICKS_S = (0.001, 0.002, 0.005, 0.02)
@@ -91,6 +92,23 @@ def test_what_is_reckoned_of_another_plant_disturbs_the_model_by_its_load_and_by
     change.begin(plant)
     assert change.reckon().velocity == 80.0
     assert change.reckon().disturbance == pytest.approx(-1.0 + 80.0 * 14.0 / 180.0 - 80.0 * 9.8 / 234.0)
+
+
+@pytest.mark.parametrize(("period_s", "ticks"), [(0.001, 10), (0.002, 5), (0.005, 2), (0.01, 1), (0.02, 1)])
+def test_an_encoder_that_stands_still_is_told_by_how_far_it_moves_in_a_nominal_tick(
+    period_s: float, ticks: int
+) -> None:
+    """A sample is compared with the one 10 ms before: on a tick of 1 ms, steps of 1 mm are 10 mm then."""
+    test, model = (
+        ModelMonitor(PLANT, period_s, NoiseModel()),
+        DisturbanceObserver(PLANT.discretise(period_s), NO_CORRECTION),
+    )
+    test.start(model)
+    by_hand = 0.0
+    for number in range(1, 15):
+        test.update(float(number), 0.0, model, 0.0)
+        by_hand = 0.93 ** (period_s / 0.01) * by_hand + float(min(number, ticks)) ** 2
+        assert test._still_sum == pytest.approx(by_hand)
 
 
 @settings(max_examples=40, deadline=None)

@@ -33,11 +33,13 @@ from twostage_servo.control.model_monitor.hypotheses import (
     slow_observer,
 )
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel
+from twostage_servo.control.per_time import NOMINAL_S
 from twostage_servo.control.plant import Plant
 
 STILL_EVIDENCE: Final = 4.0
 """How many times smaller the sum of squares of another gain has to be than that of an encoder that stands still, and
-shows nothing but noise."""
+shows nothing but noise. How far it moves counts from one nominal tick to the next: on a shorter tick its steps are
+smaller, and what a hypothesis is off by is not."""
 
 NOISE_SHARE: Final = 1.25
 """Surprise below which nothing is decided, in standard deviations of the measured position."""
@@ -80,7 +82,7 @@ class ModelMonitor:
 
     __slots__ = (
         "_accepted", "_accepted_sums", "_changes", "_date_share_s", "_forgetting", "_gains", "_innovation",
-        "_late_effort", "_least", "_least_at_rest", "_noise_square", "_origins", "_sample", "_still_sum",
+        "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins", "_samples", "_still_sum",
         "_sum", "_sums", "is_sure", "surprise",
     )  # fmt: skip
 
@@ -101,7 +103,9 @@ class ModelMonitor:
         self._least = self._least_at_rest = NOISE_SHARE * noise.measurement_variance**0.5
         self._date_share_s = DATE_SHARE * date_error_s
         self.is_sure = True
-        self._sample = self._still_sum = 0.0
+        self._samples = [0.0] * max(1, round(NOMINAL_S / period_s))  # of the last nominal tick
+        self._next = 0
+        self._still_sum = 0.0
         self._innovation: float = 0.0
         self._noise_square: float = 0.0
         self._sums = [0.0] * len(OTHER_GAINS)
@@ -123,7 +127,7 @@ class ModelMonitor:
             change.begin(model)
         self._late_effort.start(effort)
         self._still_sum = 0.0
-        self._sample = model.position
+        self._samples = [model.position] * len(self._samples)
         self._sum = model.innovation * model.innovation / (1.0 - self._forgetting)
         self._sums = [self._sum] * len(OTHER_GAINS)
         self._accepted_sums = [self._sum] * len(ACCEPTED)
@@ -137,7 +141,7 @@ class ModelMonitor:
             observer.shift(distance)
         for change in self._changes:
             change.shift(distance)
-        self._sample += distance
+        self._samples = [sample + distance for sample in self._samples]
 
     def predict(self, effort: float) -> None:
         """Account for a period without a sample, in which `effort` (effort unit) acted."""
@@ -172,7 +176,9 @@ class ModelMonitor:
         for index, observer in enumerate(self._gains):
             observer.update(sample + observer.velocity * lag_s, effort)
             sums[index] = kept * sums[index] + observer.innovation * observer.innovation
-        step, self._sample = sample - self._sample, sample
+        step = sample - self._samples[self._next]
+        self._samples[self._next] = sample
+        self._next = (self._next + 1) % len(self._samples)
         self._still_sum = kept * self._still_sum + step * step
         self._least = self._least_at_rest + self._date_share_s * speed
         self.is_sure = least_square <= self._least * self._least
