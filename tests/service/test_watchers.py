@@ -228,6 +228,17 @@ def test_what_was_begun_for_a_watcher_who_has_gone_is_shown_to_nobody_later(late
     assert (first.lines, second.lines) == ([], [b"%d %d" % (later + 1, later + 1)])
 
 
+async def publish_two_ticks(watchers: Watchers, shown: Shown) -> None:
+    """Let the watchers be served in two ticks, and go on after each."""
+    working = asyncio.create_task(watchers.run())
+    for tick in (1, 2):
+        shown.now = tick
+        watchers.publish(tick)
+        await asyncio.sleep(0.001)
+        assert not working.done()
+    working.cancel()
+
+
 def test_whoever_begins_to_watch_is_not_shown_what_another_was_shown_before_in_the_same_tick() -> None:
     """Between the two somebody may have commanded: `arm`, and then a snapshot that says `disarmed`, is none of it."""
     first, second, shown = Watcher(), Watcher(), Shown()
@@ -236,15 +247,7 @@ def test_whoever_begins_to_watch_is_not_shown_what_another_was_shown_before_in_t
     watchers = Watchers(book, cast("Any", shown), cast("Any", background))
     watchers.begin(cast("Any", first), 10, None)
 
-    async def script() -> None:
-        working = asyncio.create_task(watchers.run())
-        for tick in (1, 2):
-            shown.now = tick
-            watchers.publish(tick)
-            await asyncio.sleep(0.001)
-        working.cancel()
-
-    run(script())
+    run(publish_two_ticks(watchers, shown))
     assert (first.lines, second.lines) == ([b"1 1"], [b"2 2"])
 
 
@@ -263,14 +266,5 @@ def test_who_ends_while_the_snapshot_waits_for_its_time_is_sent_none(*, begins_a
     watchers.begin(cast("Any", first), 10, None)
     watchers.begin(cast("Any", second), 10, None)
 
-    async def script() -> None:
-        working = asyncio.create_task(watchers.run())
-        for tick in (1, 2):
-            shown.now = tick
-            watchers.publish(tick)
-            await asyncio.sleep(0.001)
-            assert not working.done()
-        working.cancel()
-
-    run(script())
+    run(publish_two_ticks(watchers, shown))
     assert (first.lines, second.lines) == ([b"2 2"] if begins_anew else [], [b"1 1"])

@@ -16,6 +16,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripFile
 from twostage_servo.client.errors import ServoError
 from twostage_servo.faults.bus_faults import foreign_command
+from twostage_servo.faults.client_faults import serves_others
 from twostage_servo.faults.world import World
 from twostage_servo.service.ending_signals import EndingSignals
 from twostage_servo.telemetry.trip_files import Document, Records, TripFiles, write_file
@@ -233,9 +234,4 @@ async def _is_served(world: World) -> str | None:
     """Check that the service goes on, and serves a new client."""
     if world.serving.done():
         return "the service has ended"
-    try:
-        async with world.client() as client:
-            await client.ask(StatusRequest())
-    except ServoError as error:
-        return f"a new client is not served: {error}"
-    return None
+    return await serves_others(world)
