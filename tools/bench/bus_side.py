@@ -1,4 +1,4 @@
-"""The bus and the listener of the frame measurements: ``python -m bench.bus_side hub``, and ``... listen``.
+"""The bus and the listener of the frame measurements: ``python -m tools.bench.bus_side hub``, and ``... listen``.
 
 The hub lets the kernel stamp the frames, on the loopback address. The listener is a socketcand client that goes by
 those stamps. Both get a real-time priority if that is permitted, so that what is measured is the sender.

@@ -1,4 +1,4 @@
-"""Clients of the control socket that make work for the service: ``python -m bench.client_load KIND --socket PATH``.
+"""Clients of the control socket that make work for the service: ``python -m tools.bench.client_load KIND``.
 
 One process for all of them. It prints a line when they are connected, and goes on until it is ended. The fifty
 operators are clients as the package has them; the others do what no client of ours does, and have the socket itself.

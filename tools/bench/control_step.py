@@ -1,4 +1,4 @@
-"""One control step, observer and law, beside the same equations written otherwise: ``python -m bench.control_step``.
+"""One control step, beside the same equations written otherwise: ``python -m tools.bench.control_step``.
 
 All contenders get the same samples: those of a closed loop that was recorded before. Each has to answer them with the
 same efforts, or the measurement ends with an error. The speed stage is timed, and the position stage of the two that

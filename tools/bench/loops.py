@@ -1,4 +1,4 @@
-"""The Python loops whose punctuality is compared, one a process: ``python -m bench.loops NAME --seconds S``.
+"""The Python loops whose punctuality is compared, one a process: ``python -m tools.bench.loops NAME --seconds S``.
 
 Each notes, as the first statement of a pass, how long its deadline has passed by its own clock, in µs.
 """

@@ -1,4 +1,4 @@
-"""Other ways to send a frame every 10 ms, one a process: ``python -m bench.senders NAME --port N --seconds S``.
+"""Other ways to send a frame every 10 ms, one a process: ``python -m tools.bench.senders NAME --port N --seconds S``.
 
 All of them join the bus with python-can's own socketcand interface and with TCP_NODELAY, and send a frame that is ready
 made: the service reads feedback, estimates and controls before each of its frames, so they have the easier task.

@@ -1,4 +1,4 @@
-"""How fast simulated time goes by, and what memory a long one takes: ``python -m bench.simulated_time --ticks 100000``.
+"""How fast simulated time goes by, and what memory a long one takes: ``python -m tools.bench.simulated_time``.
 
 Both with the whole service and its drive, moving, in a process of their own.
 """

@@ -1,4 +1,4 @@
-"""Clients that try to keep others from `stop`: ``python -m bench.stop_load KIND --socket PATH``.
+"""Clients that try to keep others from `stop`: ``python -m tools.bench.stop_load KIND --socket PATH``.
 
 One process for all clients of a kind, which never waits for one of them. It prints a line when they have begun, and
 goes on until it is ended.

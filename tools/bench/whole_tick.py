@@ -1,4 +1,4 @@
-"""What a whole tick takes, by number of axes and by phase: ``python -m bench.whole_tick --axes 1 --ticks 20000``.
+"""What a whole tick takes, by number of axes and by phase: ``python -m tools.bench.whole_tick --axes 1 --ticks 20000``.
 
 The real service with its drives on the bus inside the process. In simulated time one tick follows the other and finds
 the processor's caches as it left them; in real time (``--real``) 10 ms have passed in which others used them.
