@@ -24,7 +24,7 @@ from twostage_servo.api.requests import (
     StopRequest,
 )
 from twostage_servo.axis.refusals import RefusalCode, Refused
-from twostage_servo.axis.state import BRAKING, COMMANDED, MOVING, State
+from twostage_servo.axis.state import BRAKING, COMMANDED, State
 from twostage_servo.service import answers
 from twostage_servo.service.authority import Authority
 from twostage_servo.service.axis_commands import AxisCommands
@@ -36,7 +36,7 @@ from twostage_servo.service.shutdown import Shutdown
 from twostage_servo.service.status_lines import StatusLines
 from twostage_servo.telemetry.sample import FIELDS
 
-_IN_MOTION: Final = MOVING | BRAKING | {State.JOGGING, State.HOMING}
+_IN_MOTION: Final = COMMANDED | BRAKING
 _NEVER_TOO_LATE: Final = (StopRequest, DisarmRequest, ReleaseRequest)
 """Requests that set nothing in motion: they are carried out however old, and whoever has gone."""
 _OK: Final = b'{"ok":true,'
@@ -256,6 +256,8 @@ class RequestHandler:
                 self._commands.home(addressed, position)
             case ReloadRequest():
                 self._reload.carry_out(client)
+            case _:
+                raise TypeError(f"{request.op} has no case here, and would be answered as done")
 
     # What is told ----------------------------------------------------------------------------------------------------
 
