@@ -134,8 +134,15 @@ class Motion:
         self.nominal.shift(distance)
         self.model_monitor.shift(distance)
         self._tracking.shift(distance)
-        self._unchanged = None
-        self._recent.clear()
+        if self._unchanged is not None:
+            position, effort = self._unchanged
+            self._unchanged = position + distance, effort
+        if self._shown is not None:
+            self._shown += distance
+        if self._stands_at is not None:
+            self._stands_at += distance
+        for _ in range(len(self._recent)):
+            self._recent.append(self._recent.popleft() + distance)
 
     def expected_position(self, *, driven: bool) -> float | None:
         """Return where the axis is by the estimate, in axis unit; None while that follows nothing."""
