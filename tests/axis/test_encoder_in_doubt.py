@@ -116,6 +116,45 @@ def test_an_encoder_that_turns_round_as_somebody_pushes_the_axis_is_told_on_any_
         assert axis.trip.code in IN_DOUBT
 
 
+@pytest.mark.parametrize("innovation", [0.5, 5.0])
+@pytest.mark.parametrize("gain_and_pole", [(1.0, 1.0), (1.12, 0.75), (0.86, 1.2), (1.3, 1.3)])
+@pytest.mark.parametrize("period_s", [0.002, 0.005, 0.01])
+def test_an_encoder_that_turns_round_as_a_new_target_turns_the_axis_round_is_told(
+    period_s: float, gain_and_pole: tuple[float, float], innovation: float
+) -> None:
+    """At standstill nothing jumps: the axis ran away by up to 203 mm, and at up to 401 mm/s."""
+    gain, pole = gain_and_pole
+    for turned_after_s in (0.12, 0.13, 0.14, 0.15, 0.16, 0.17, 0.18):
+        axis = Axis(design_axis(axis_settings(innovation_gate=innovation), period_s), TRAITS)
+        rig = AxisRig(axis, Plant(180.0 * gain, 14.0 * pole), period_s=period_s).cruising(1500.0, 200.0)
+        axis.move_to(-500.0, 170.0)
+        rig.seconds(turned_after_s)
+        at = rig.position
+        change(rig, -1.0)
+        for _ in range(round(1.0 / period_s)):
+            rig.tick()
+            assert abs(rig.velocity) < 275.0  # below overspeed
+        assert abs(rig.position - at) < 23.0
+        assert axis.trip is not None
+        assert axis.trip.code in IN_DOUBT
+
+
+@pytest.mark.parametrize("every_s", [0.2, 2.0, 60.0])
+def test_a_frozen_encoder_is_not_forgotten_where_an_operator_sets_the_position(every_s: float) -> None:
+    """It stands 0.4 mm off the target, so that the effort grows. Each new position was taken for a motion of it."""
+    rig = rig_of().armed()
+    rig.sees = lambda _: 0.4
+    for tick in range(1, 1000):
+        if tick % round(every_s / PERIOD_S) == 0:
+            rig.axis.set_position(0.01 * tick)
+        rig.tick()
+        if rig.axis.trip is not None:
+            break
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.STALL
+    assert "changed by 2.5" in rig.axis.trip.cause
+
+
 @pytest.mark.parametrize("counts", [-1.0, 0.5, 2.0])
 def test_a_jog_is_watched_as_a_move_is(counts: float) -> None:
     rig = rig_of(5.0).armed()

@@ -184,6 +184,9 @@ class EncoderWatch:
             return wrong
         if not self.active:
             return None
+        if begins and self._was_driven:  # an operator has armed it again: a motion of its own, from where it is
+            self._began += ", then armed again"
+            self._begin_motion(position, abs(speed), shows=False, steady=False, from_rest=True)
         if self._may_creep(abs(speed), effort):
             self._origin = position
             self._error_allowed = math.inf

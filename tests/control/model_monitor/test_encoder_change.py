@@ -17,6 +17,8 @@ MODEL = ACCEPTED.index(Deviation(1.0, 1.0))
 STRONG = ACCEPTED.index(Deviation(1.3, 0.7))
 EFFORTS = [6.0, 1.0, -3.0, 8.0, 4.0, -9.0]
 NEVER = float("inf")
+LEAST = 0.125
+"""The surprise below which nothing is decided, in mm."""
 
 
 def estimate(velocity: float = 50.0, deviation: Deviation = ACCEPTED[0], period_s: float = 0.01) -> DisturbanceObserver:
@@ -44,7 +46,7 @@ def show(
     opens: float = NEVER,
 ) -> None:
     """Give it a sample that surprises the accepted plants by 1 mm, unless another square is given."""
-    one.update(sample, effort, lag_s, origin or estimate(), square, opens)
+    one.update(sample, effort, lag_s, origin or estimate(), square, opens, LEAST)
 
 
 @pytest.mark.parametrize("period_s", [0.002, 0.01, 0.02])
@@ -161,7 +163,7 @@ def first_sample(
 def is_certain_after(one: EncoderChange, ticks: int) -> bool:
     """Whether so many samples are enough where nothing else is wanting."""
     one.ticks, one.accepted_sum, one.own_sum = ticks, 1.0, 0.0
-    return one.is_certain(0.125, 1.0, 0.0)
+    return one.is_certain(LEAST, 1.0, 0.0)
 
 
 @pytest.mark.parametrize("period_s", [0.002, 0.01, 0.02])
@@ -229,9 +231,54 @@ def test_a_scale_has_to_jump_by_half_of_the_surprise_that_decides_and_a_standing
     factor: float, needed: float, sign: float, period_s: float
 ) -> None:
     """At v the jump is ``|1 - f| a12 v`` with the a12 of 10 ms, or of a longer tick; 0.125 mm is what decides."""
-    velocity = sign * needed * 0.125 / PLANT.discretise(max(0.01, period_s)).a12
-    assert not is_certain_after(change(factor, estimate(0.999 * velocity), period_s=period_s), 25)
-    assert is_certain_after(change(factor, estimate(1.001 * velocity), period_s=period_s), 25)
+    velocity = sign * needed * LEAST / PLANT.discretise(max(0.01, period_s)).a12
+    ticks = 4 if factor else 25
+    assert not is_certain_after(change(factor, estimate(0.999 * velocity), period_s=period_s), ticks)
+    assert is_certain_after(change(factor, estimate(1.001 * velocity), period_s=period_s), ticks)
+
+
+@pytest.mark.parametrize(("factor", "expected"), [(-1.0, True), (0.0, False), (0.5, False), (2.0, False)])
+@pytest.mark.parametrize(("period_s", "ticks"), [(0.002, 25), (0.01, 5), (0.02, 5)])
+def test_an_encoder_that_turns_round_at_standstill_is_told_by_fifty_ms_and_five_samples_and_no_other(
+    factor: float, expected: bool, period_s: float, ticks: int
+) -> None:
+    assert not is_certain_after(change(factor, estimate(0.0), period_s=period_s), ticks - 1)
+    assert is_certain_after(change(factor, estimate(0.0), period_s=period_s), ticks) is expected
+
+
+@pytest.mark.parametrize(("accepted", "expected"), [(0.249, False), (0.251, True)])
+def test_at_standstill_it_takes_four_times_the_surprise_that_decides(accepted: float, expected: bool) -> None:
+    """Squared, as the sum is: (4 · 0.125 mm)² = 0.25 mm². A change that jumps takes (0.125 mm)²."""
+    at_rest, moving = change(-1.0, estimate(0.0)), change(-1.0, estimate(50.0))
+    at_rest.ticks = moving.ticks = 5
+    at_rest.accepted_sum = moving.accepted_sum = accepted
+    assert at_rest.is_certain(LEAST, accepted, 0.0) is expected
+    assert moving.is_certain(LEAST, accepted, 0.0)
+
+
+@pytest.mark.parametrize(("factor", "patience"), [(-1.0, 0.3), (0.5, 0.0), (2.0, 0.0)])
+def test_an_encoder_that_turns_round_may_explain_a_little_less_for_a_while_and_then_has_to_be_answered(
+    factor: float, patience: float
+) -> None:
+    """By 0.3 of (0.125 mm)²; it is certain again after 50 ms, and five samples, whatever has jumped."""
+
+    def after(less: float) -> EncoderChange:
+        one = change(factor, estimate(50.0))
+        expected = 10.0 - (1.0 - factor) * estimate().plant.a12 * 50.0
+        show(one, expected, 0.0)
+        one.own_sum, one.accepted_sum = 0.5, 0.5 - less / 0.93
+        show(one, one._observer.position, 0.0, square=0.0)
+        return one
+
+    if patience:
+        in_doubt = after(0.99 * patience * LEAST**2)
+        assert in_doubt.ticks == 2
+        assert not is_certain_after(in_doubt, 4)
+        assert is_certain_after(in_doubt, 5)
+        in_doubt.begin(estimate(50.0))
+        assert is_certain_after(in_doubt, 3)
+    assert after(1.01 * patience * LEAST**2).ticks == 0
+    assert after(-1e-9).ticks == 2
 
 
 @pytest.mark.parametrize(("period_s", "ticks"), [(0.002, 25), (0.01, 5), (0.02, 5)])
@@ -243,8 +290,8 @@ def test_an_encoder_that_stands_still_has_to_explain_fifty_ms_and_five_samples(p
 def test_the_jump_is_that_of_the_plant_that_it_begins_from() -> None:
     """With a pole of 0.7 times 14 in 1/s an axis keeps more of its speed: a12 is 9.53 ms, the model's is 9.33 ms."""
     for velocity, expected in ((3.29, True), (3.27, False)):
-        assert is_certain_after(change(-1.0, estimate(velocity), STRONG), 9) is expected
-        assert is_certain_after(change(-1.0, estimate(velocity)), 9) is False
+        assert is_certain_after(change(-1.0, estimate(velocity), STRONG), 4) is expected
+        assert is_certain_after(change(-1.0, estimate(velocity)), 4) is False
 
 
 @pytest.mark.parametrize(

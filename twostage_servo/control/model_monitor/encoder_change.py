@@ -6,12 +6,16 @@ for as long as it explains no more than the accepted plants do, and so keeps the
 sequential test with restarts (E. S. Page, *Continuous inspection schemes*, Biometrika 41, 1954). A change comes within
 a period, so its first sample may show any part of it.
 
+An encoder that turns round while the axis stands, or nearly so, makes no jump. It is told by the answer to the effort,
+which takes longer: the axis runs away from whatever should bring it back.
+
 A hypothesis belongs to one accepted plant, and begins from that plant's own estimate of speed and load. While an axis
 that is off its model speeds up or slows down, the model's estimate of its speed may be off by half; and where it has
 only begun to, nothing tells yet which plant is the true one. An encoder that stands still is supposed of the model
 alone: where it stands from rest on, what explains it best is the plant that moves least.
 """
 
+from math import inf
 from typing import Final, NamedTuple
 
 from twostage_servo.control.model_monitor.hypotheses import (
@@ -45,6 +49,17 @@ as by a load that has stepped."""
 CHANGE_SHARE: Final = 0.9
 """Share of all surprise in the window that has to have come since the change: it is told only against an estimate that
 was right before. A load that has just stepped makes an estimate that is not."""
+
+ANSWER_S: Final = 0.05
+ANSWER_SURPRISE: Final = 4.0
+"""Time after which an encoder that turned round near standstill, where nothing jumps, is told by the answer to the
+effort alone, and the surprise that this takes, as a multiple of the one below which nothing is decided. A load that
+turns the axis round against its effort surprises as well, but by less in that time."""
+
+PATIENCE: Final = 0.3
+"""Share of that surprise, squared, by which an encoder that turned round may explain *less* than the accepted plants
+without beginning anew. Near standstill one or the other of those explains each of the first samples, and a hypothesis
+that began anew until none of them does would begin from a speed that they have adapted to what is wrong."""
 
 JUMP_SHARE: Final = 0.5
 """Share of the surprise below which nothing is decided that a change has to make within the nominal tick. For an
@@ -95,9 +110,9 @@ class EncoderChange:
     """
 
     __slots__ = (
-        "_disturbance", "_forgetting", "_has_set_out", "_in_part", "_jump_share", "_least_ticks", "_missing_friction",
-        "_nominal_step", "_observer", "_position", "_step", "_truth", "_velocity", "accepted_sum", "factor", "own_sum",
-        "ticks",
+        "_answer_ticks", "_disturbance", "_forgetting", "_has_explained_less", "_has_set_out", "_in_part",
+        "_jump_share", "_least_ticks", "_missing_friction", "_nominal_step", "_observer", "_patience", "_position",
+        "_step", "_truth", "_velocity", "accepted_sum", "factor", "own_sum", "ticks",
     )  # fmt: skip
 
     def __init__(self, factor: float, deviation: Deviation, model: Plant, period_s: float, noise: NoiseModel) -> None:
@@ -116,6 +131,8 @@ class EncoderChange:
         self._forgetting = forgetting(period_s)
         self._jump_share = JUMP_SHARE if factor else 2.0 * JUMP_SHARE
         self._least_ticks = CHANGE_TICKS if factor else samples_in(STANDING_S, period_s, STANDING_TICKS)
+        self._answer_ticks = samples_in(ANSWER_S, period_s, STANDING_TICKS) if factor < 0.0 else inf
+        self._patience = PATIENCE if factor < 0.0 else 0.0
         self.begin(self._truth)
 
     def begin(self, origin: DisturbanceObserver) -> None:
@@ -123,7 +140,7 @@ class EncoderChange:
         self._position, self._velocity, self._disturbance = origin.position, origin.velocity, origin.disturbance
         self.own_sum = self.accepted_sum = 0.0
         self.ticks = 0
-        self._in_part = self._has_set_out = False
+        self._in_part = self._has_set_out = self._has_explained_less = False
 
     def _set_out(self) -> None:
         """Let the observers go on from where the change begins.
@@ -156,6 +173,7 @@ class EncoderChange:
         origin: DisturbanceObserver,
         least_square: float,
         opening_square: float,
+        least: float,
     ) -> None:
         """Take a sample.
 
@@ -171,6 +189,8 @@ class EncoderChange:
             The smallest squared innovation of the accepted plants, in (axis unit)².
         opening_square
             What that has to be for a first sample to show a part of a change.
+        least
+            The surprise that it takes to decide anything, in axis unit.
         """
         if not self._has_set_out:
             velocity = self._velocity
@@ -191,7 +211,10 @@ class EncoderChange:
         accepted = self.accepted_sum = self._forgetting * self.accepted_sum + least_square
         self.ticks += 1
         if accepted <= own:
-            self.begin(origin)
+            if accepted + self._patience * least * least <= own:
+                self.begin(origin)
+            else:
+                self._has_explained_less = True
 
     def _open(self, sample: float) -> None:
         """Suppose that the change has come a little later: the first sample shows a part of it.
@@ -210,18 +233,21 @@ class EncoderChange:
         return self.accepted_sum - self.own_sum
 
     def is_certain(self, least: float, window_sum: float, noise_square: float) -> bool:
-        """Whether nothing else explains the samples, and the change has been one from one sample to the next.
+        """Whether nothing else explains the samples, and the change has been a jump or has been answered for long.
 
         Parameters
         ----------
         least, window_sum, noise_square
             As for :meth:`explains`.
         """
-        return (
-            self.ticks - PART_TICKS * self._in_part >= self._least_ticks
-            and abs(self._nominal_step * self._velocity) > self._jump_share * least
-            and self.explains(least, window_sum, noise_square)
-        )
+        if self.ticks - PART_TICKS * self._in_part < self._least_ticks:
+            return False
+        jumps = abs(self._nominal_step * self._velocity) > self._jump_share * least and not self._has_explained_less
+        return (jumps or self._is_answered(least)) and self.explains(least, window_sum, noise_square)
+
+    def _is_answered(self, least: float) -> bool:
+        enough = ANSWER_SURPRISE * least
+        return self.ticks >= self._answer_ticks and self.accepted_sum > enough * enough
 
     def explains(self, least: float, window_sum: float, noise_square: float) -> bool:
         """Whether nothing else explains the samples.

@@ -71,9 +71,9 @@ each accepted plant does."""
 CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 """How many times as much the encoder counts after a change."""
 
-CHANGE_PLANTS: Final = (0, 1, 5)
-"""Accepted plants of which a change is supposed, by their indices: the model, the one that answers the least, and the
-one that answers the most for its friction. An encoder that stands still is supposed of the model alone."""
+CHANGE_PLANTS: Final = range(len(_PLANTS))
+"""Accepted plants of which a change is supposed, by their indices: each whose effort is not delayed. What lies half-way
+between two of them is near enough to one. An encoder that stands still is supposed of the model alone."""
 
 _FORGETTING: Final = 0.93
 """Weight of the window for each :data:`NOMINAL_S` of age: a time constant of 138 ms."""

@@ -185,7 +185,7 @@ class ModelMonitor:
         self._measure_noise(model.innovation)
         opening_square = self._opening_square()
         for change, origin in zip(self._changes, self._origins, strict=True):
-            change.update(sample, effort, lag_s, origin or model, least_square, opening_square)
+            change.update(sample, effort, lag_s, origin or model, least_square, opening_square, self._least)
 
     def _compare_accepted(self, sample: float, effort: float, late_effort: float, lag_s: float) -> float:
         """Give the accepted plants a tick, and return their smallest squared innovation in (axis unit)²."""
@@ -260,7 +260,9 @@ class ModelMonitor:
         if factor == 0.0:
             return next(change for change in self._changes if change.factor == 0.0).reckon()
         if changes := self._certain(factor):
-            return max(changes, key=EncoderChange.evidence).reckon()
+            # What less than it takes to decide anything does not tell apart is likelier of the model.
+            enough = max(min(change.own_sum for change in changes), self._least * self._least)
+            return next(change for change in changes if change.own_sum <= enough).reckon()
         _, best = min((self._sums[index], index) for index, other in enumerate(OTHER_GAINS) if other.factor == factor)
         observer, gain = self._gains[best], OTHER_GAINS[best].plant.gain
         return Reckoning(observer.velocity / (factor * gain), observer.disturbance)
