@@ -212,7 +212,7 @@ def test_a_move_has_64_axes_at_most() -> None:
     positions = {f"axis{number}": 0.0 for number in range(64)}
     assert problem(json.dumps({"op": "move", "positions": positions})) == ""
     assert problem(json.dumps({"op": "move", "positions": positions | {"more": 0.0}})) == (
-        "positions: 65 axes, and 64 are the most"
+        "positions: 65 axes, but at most 64 are allowed"
     )
 
 

@@ -201,4 +201,4 @@ def test_what_only_a_restart_can_follow_is_refused_by_its_table(table: str, over
 
     problem = simulate(script)() or ""
     assert table in problem
-    assert "only a restart of the service can follow that" in problem
+    assert "restart the service to apply that" in problem

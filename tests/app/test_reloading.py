@@ -69,7 +69,7 @@ def test_a_file_that_is_wrong_is_told_by_the_process(file: Path) -> None:
 
     problem = simulate(script).problem or ""
     assert "axis.unit" in problem
-    assert "only a restart" in problem
+    assert "restart the service" in problem
 
 
 def test_a_process_that_fails_changes_nothing(file: Path) -> None:
@@ -170,7 +170,7 @@ def test_what_was_read_again_is_compared_with_what_is_read_next(file: Path) -> N
             assert world.axis.settings.cruise_velocity == float(velocity)
             assert logs == [{"event": "configuration read again", "log_level": "info", "config": str(file)}]
         change(file, 'channel = "twostage-servo-demo"', 'channel = "another"')
-        with pytest.raises(Refused, match=r"\[bus\] has changed: only a restart"):
+        with pytest.raises(Refused, match=r"\[bus\] has changed: restart the service"):
             await requests.prepare_reload("this process")
 
     simulate(script)

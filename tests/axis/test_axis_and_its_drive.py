@@ -48,7 +48,7 @@ def test_a_drive_that_says_it_is_off_while_it_is_told_to_be_enabled_trips() -> N
     rig.seconds(1.0)
     assert list(rig.axis.trips) == [TripCode.DRIVE_STATE_MISMATCH]
     assert (
-        "heartbeat has said 'Ready to switch on', and its feedback enabled"
+        "heartbeat has said 'Ready to switch on', but its feedback has said enabled"
         in rig.axis.trips[TripCode.DRIVE_STATE_MISMATCH].cause
     )
 
@@ -64,7 +64,7 @@ def test_one_that_says_that_it_is_enabled_while_it_is_told_to_be_disabled_has_a_
         ticks += 1
     assert list(rig.axis.trips) == [TripCode.DRIVE_NOT_DISABLED]
     assert ticks == 90  # the first heartbeat after 82
-    assert "for 890 ms of the 890 ms" in rig.axis.trips[TripCode.DRIVE_NOT_DISABLED].cause
+    assert "disable 890 ms ago, and has since reported for 890 ms" in rig.axis.trips[TripCode.DRIVE_NOT_DISABLED].cause
 
 
 def test_only_a_drive_that_is_told_to_disable_is_disabling() -> None:
@@ -83,7 +83,7 @@ def test_only_a_drive_that_is_told_to_disable_is_disabling() -> None:
 
 
 @pytest.mark.parametrize(
-    ("enables", "why"), [(False, "the drive has not reported that it is enabled"), (True, "two fresh")]
+    ("enables", "why"), [(False, "the drive did not report that it is enabled"), (True, "the speed is unknown")]
 )
 def test_what_arming_has_waited_for_is_told(enables: bool, why: str) -> None:
     rig = AxisRig(enables=enables).seconds(0.1)

@@ -397,7 +397,7 @@ def test_frames_that_came_too_late_are_told_where_there_were_any(late: int) -> N
     for _ in range(5):
         drive.begin_tick(0)
     ((_, cause),) = drive.troubles(arming=False)
-    assert cause.endswith("; 2 feedback frames have come too late to count" if late else "stale_feedback_ms is 30")
+    assert cause.endswith("; 2 feedback frames arrived too late to count" if late else "stale_feedback_ms is 30")
 
 
 # Whether the drive has a fault ---------------------------------------------------------------------------------------

@@ -125,7 +125,7 @@ def test_the_cause_has_its_numbers_and_outlives_a_reload_but_not_the_bus() -> No
     compared = comparison()
     for _ in range(41):
         tick(compared, faulted=None, state=FAULT)
-    text = "for 400 ms the drive's heartbeat has said 'Fault', and its feedback enabled"
+    text = "for 400 ms the drive's heartbeat has said 'Fault', but its feedback has said enabled"
     assert compared.contradiction == text
     other = comparison()
     other.continue_from(compared)

@@ -296,7 +296,7 @@ def test_the_following_error_is_the_minimum_or_proportional_to_the_speed() -> No
             rig.tick()
             if rig.axis.trip is not None:
                 assert rig.axis.trip.code is TripCode.FOLLOWING_ERROR
-                return abs(float(rig.axis.trip.cause.split("the axis is ")[1].split(" ")[0]))
+                return abs(float(rig.axis.trip.cause.split(" mm is ")[1].split(" ")[0]))
         raise AssertionError("no trip")
 
     assert deviation_at_trip(10.0) == pytest.approx(10.0, abs=1.0)

@@ -138,14 +138,14 @@ def test_near_the_old_count_only_a_boot_counter_proves_anything(silent_ticks: in
     assert not reason(the_same.seconds(0.1))
     another = restarts(homed(count, boots=BOOTS), silent_ticks)
     another.axis.record_heartbeat(BOOTS + 1)
-    assert reason(another.seconds(0.1)) == "the drive has rebooted, and its encoder starts to count anew"
+    assert reason(another.seconds(0.1)) == "the drive has rebooted, and its encoder has restarted its count"
 
 
 def test_until_the_heartbeat_has_come_the_axis_cannot_be_armed() -> None:
     rig = restarts(homed(0.0, boots=BOOTS), 20)
     rig.axis.record_heartbeat(BOOTS)  # before the feedback: it says nothing of what came after
     rig.seconds(0.05)
-    with pytest.raises(Refused, match="to say whether it has rebooted") as refused:
+    with pytest.raises(Refused, match="to show whether it rebooted") as refused:
         rig.axis.arm()
     assert refused.value.code == "heartbeat_lost"
     rig.axis.record_heartbeat(BOOTS, late=True)
@@ -333,7 +333,7 @@ def test_pushed_out_of_sight_a_homed_axis_has_to_be_homed_again(silent_ticks: in
     rig.silent, rig.sample = False, rig.position
     rig.seconds(0.1)
     rig.axis.record_heartbeat(BOOTS)
-    assert "or the axis was moved unseen" in reason(rig)
+    assert "or the axis was moved unobserved" in reason(rig)
 
 
 # Counters that wrap, settings that are read again, searches -----------------------------------------------------------

@@ -152,15 +152,15 @@ def test_a_blind_axis_is_not_held_to_what_it_does_not_see() -> None:
 
 def test_the_cause_names_what_is_wrong() -> None:
     for changes, words in (
-        ({"model_monitor__better_factor": -1.0}, "mm of late; the sign of encoder or effort is wrong"),
-        ({"model_monitor__better_factor": 0.5}, "mm of late; the scale of encoder or effort is wrong"),
+        ({"model_monitor__better_factor": -1.0}, "mm; the sign of encoder or effort is wrong"),
+        ({"model_monitor__better_factor": 0.5}, "mm; the scale of encoder or effort is wrong"),
         ({"law__observer__velocity": 400.0}, "velocity is 400 mm/s; axis.limits.overspeed is 320"),
     ):
         causes = [
             cause for _, cause in Supervision(DESIGN, motion(**changes)).violations(State.HOLDING, referenced=False)
         ]
         assert any(words in cause for cause in causes)
-    for stage, words in ((Stage.SPEED, "70 mm/s can't be reached"), (Stage.POSITION, "a load, or an obstacle")):
+    for stage, words in ((Stage.SPEED, "70 mm/s cannot be reached"), (Stage.POSITION, "a load or an obstacle")):
         saturated = Supervision(DESIGN, motion(law__saturated=True, law__stage=stage, law__cruise_velocity=70.0))
         causes = [cause for _ in range(50) for _, cause in saturated.violations(State.JOGGING, referenced=True)]
         assert [cause.endswith(words) for cause in causes] == [True]

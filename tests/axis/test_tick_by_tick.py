@@ -37,7 +37,7 @@ def test_an_axis_may_be_armed_in_the_second_disabled_tick_in_which_it_is_seen() 
     rig = AxisRig()
     assert (rig.axis.ready_to_arm, rig.axis.cia402_state) == (False, "switch on disabled")
     rig.tick()
-    assert rig.axis.obstacle_to_arming() == ("still_enabled", "the drive is only just being disabled: ask again.")
+    assert rig.axis.obstacle_to_arming() == ("still_enabled", "the drive is still being disabled: ask again.")
     assert rig.axis.cia402_state == "switch on disabled"
     rig.tick()
     assert (rig.axis.ready_to_arm, rig.axis.cia402_state) == (True, "ready to switch on")
@@ -347,7 +347,7 @@ def test_trips_say_their_numbers() -> None:
     rig = AxisRig().armed()
     rig.tick(3)
     assert rig.axis.trip is not None
-    assert rig.axis.trip.cause == "3 ticks of 10 ms were missed in one go; axis.limits.missed_ticks is 2"
+    assert rig.axis.trip.cause == "3 ticks of 10 ms were missed in a row; axis.limits.missed_ticks is 2"
     rig = AxisRig().armed()
     rig.fault_code = 77
     rig.tick()
@@ -366,7 +366,7 @@ def test_trips_say_their_numbers() -> None:
     rig.axis.law.observer.disturbance = float("nan")
     rig.tick()
     assert rig.axis.trip is not None
-    assert (rig.axis.trip.code, rig.axis.trip.cause[:13]) == (TripCode.NOT_FINITE, "the law gives")
+    assert (rig.axis.trip.code, rig.axis.trip.cause[:16]) == (TripCode.NOT_FINITE, "the law computed")
     rig = AxisRig().armed()
     rig.axis.move_to(100.0, 100.0)
     rig.inputs = {"positive_limit": True}
@@ -377,19 +377,19 @@ def test_trips_say_their_numbers() -> None:
     rig.axis.record_heartbeat(1)
     rig.axis.record_heartbeat(2)
     assert rig.axis.trip is not None
-    assert rig.axis.trip.cause == "the drive has rebooted while it was enabled"
+    assert rig.axis.trip.cause == "the drive rebooted while it was enabled"
     rig = AxisRig(enables=False).seconds(0.05)
     rig.axis.arm()
     rig.seconds(0.6)
     assert rig.axis.trip is not None
-    assert rig.axis.trip.cause == "the drive has not reported that it is enabled within 500 ms of arming"
+    assert rig.axis.trip.cause == "the drive did not report that it is enabled within 500 ms of arming"
     rig = AxisRig().seconds(0.05)
     rig.axis.arm()
     while rig.axis.trip is None and rig.tick_index < 200:
         rig.tick(missed=1)
     assert rig.axis.trip is not None
     assert rig.axis.trip.code == TripCode.DRIVE_NOT_ENABLED
-    assert rig.axis.trip.cause.startswith("two fresh samples in a row, without a missed tick between, have not come")
+    assert rig.axis.trip.cause.startswith("the speed is unknown, because no two consecutive fresh samples came")
 
 
 def test_in_the_tick_of_a_trip_that_disables_no_effort_goes_out() -> None:

@@ -381,7 +381,7 @@ def test_a_bus_that_does_not_open_says_why_and_what_to_do(
         ({"interface": "socketcn"}, "no such interface; did you mean socketcan"),
         ({"options": {"fd": True}}, "fd cannot be set here"),
         ({"bit_rate_switch": True}, "CAN FD frames only; set fd = true"),
-        ({"fd": True, "interface": "pcan"}, "fd is not possible on interface 'pcan'; it is on socketcan, virtual"),
+        ({"fd": True, "interface": "pcan"}, "fd is not possible on interface 'pcan', only on socketcan, virtual"),
         ({"fd": True, "bitrate": 500_000}, "with fd = true, remove it"),
     ],
 )

@@ -104,9 +104,9 @@ def test_a_drive_that_does_not_obey_is_told_and_ends_each_command_with_3(
     assert code == 3
     out = capsys.readouterr().out
     assert "mm while disabled" in out
-    assert "trip drive_not_disabled: the drive reports that it is enabled" in out
-    assert "next: Switch the drive's power off" in out
-    assert "lasts drive_not_disabled: the drive reports that it is enabled" in out
+    assert "trip drive_not_disabled: the drive was told to disable" in out
+    assert "next: The drive does not obey: switch off its power" in out
+    assert "lasts drive_not_disabled: the drive was told to disable" in out
 
 
 @pytest.mark.parametrize("verb", ["disarm", "reset", "status"])

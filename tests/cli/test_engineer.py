@@ -37,7 +37,7 @@ BROKEN = [
     ('unit = "mm"', 'unit = "deg"', "axis.unit", "Set axis.unit to 'mm'"),
     ('unit = "mm"', 'unit = ""', "axis.unit", "not empty"),
     ("tick_ms = 10.0", "tick_ms = 0.0", "service.tick_ms", "at least 1"),
-    ("tick_ms = 10.0", "tick_ms = 10.0\ntick_ms = 20.0", "service.tick_ms", "each key and table is given once"),
+    ("tick_ms = 10.0", "tick_ms = 10.0\ntick_ms = 20.0", "service.tick_ms", "each key and table must appear once"),
     ("[axis.plant]", "[axis.plannt]", "axis.plannt", "unknown key"),
     ("[axis.limits]", "[axis.limits", "", "not TOML"),
     ('interface = "virtual"', 'interface = "virtuall"', "bus.interface", "virtual"),
@@ -194,7 +194,7 @@ def test_the_loops_are_drawn_by_the_files_ending(
     assert main(["design", "--plot", str(tmp_path / name), "--json"]) == 0
     captured = capsys.readouterr()
     assert json.loads(captured.out)["stages"]["position"]["gain_margin"] == pytest.approx(11.92, abs=0.01)
-    assert f"drawn to {tmp_path / name}" in captured.err
+    assert f"plot written to {tmp_path / name}" in captured.err
     assert (tmp_path / name).read_bytes().startswith(begins)
 
 

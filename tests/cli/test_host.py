@@ -123,7 +123,7 @@ def test_a_socket_that_another_user_could_exchange_fails(capsys: pytest.CaptureF
         (500_000, Status.OK, "4.75 %"),  # (95 + 135) / 10 ms + 75 / 100 ms, by hand
         (33_333, Status.WARN, "% of 33.333 kbit/s"),
         (20_000, Status.FAIL, "% of 20 kbit/s"),
-        (None, Status.SKIP, "not known"),
+        (None, Status.SKIP, "unknown"),
     ],
 )
 def test_the_load_of_the_bus(tmp_path: Path, bit_rate: int | None, status: Status, words: str) -> None:

@@ -65,7 +65,7 @@ def test_printing_places_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[s
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (["--program", "/home/me/bin/twostage-servo"], "is hidden from the service"),
+        (["--program", "/home/me/bin/twostage-servo"], "are hidden from it"),
         (["--program", "/opt/my servo/twostage-servo"], "cannot be used in a unit"),
         (["--program", "/opt/100%/twostage-servo"], "cannot be used in a unit"),
         (["--program", str(PROGRAM), "--bit-rate", "0"], "1 to 1000000 bit/s"),

@@ -573,7 +573,7 @@ def test_the_configuration_is_read_again_while_disarmed(machine: Machine) -> Non
     assert error["code"] == "config"
     assert f"{machine.config}:{line}: axis.plant.pole" in error["message"]
     machine.config.write_text(slower + "hub = false\n[service]\ntick_ms = 5.0\n", encoding="utf-8")
-    assert "only a restart" in machine.ask("reload", exit_code=3)["error"]["message"]
+    assert "restart the service" in machine.ask("reload", exit_code=3)["error"]["message"]
 
     machine.config.write_text(slower, encoding="utf-8")
     assert machine.ask("reload")["axis"]["state"] == "disarmed"

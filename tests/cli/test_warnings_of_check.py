@@ -44,7 +44,7 @@ def test_shipped_files_are_warned_of_what_is_true_alone(capsys: pytest.CaptureFi
     [
         ("axis.limits.missed_ticks=40", "a suspended host: at 250 mm/s the axis moves 100 mm in that time"),
         ("axis.limits.stale_feedback_ms=100", "a silent drive: at 250 mm/s the axis moves 25 mm"),
-        ("axis.limits.overspeed=410", "the trip for overspeed: with all of its effort the axis comes to 308.6 mm/s"),
+        ("axis.limits.overspeed=410", "the trip for overspeed: at full effort the axis reaches 308.6 mm/s"),
         ("axis.limits.following_error_minimum=2600", "the trip for following error"),
         ("axis.limits.following_error_time_s=11", "the trip for following error: 2750 mm are allowed"),
         ("axis.limits.innovation_gate=21", "the trip for an encoder that jumps"),
@@ -54,10 +54,10 @@ def test_shipped_files_are_warned_of_what_is_true_alone(capsys: pytest.CaptureFi
         ("axis.limits.stall_time_ms=30000", "the trip for a stall: at its largest velocity the axis crosses"),
         ("axis.limits.stall_time_ms=501", "the trip for a stall: effort_saturation_ms is shorter"),
         ("axis.limits.heartbeat_ms=20001", "whole travel in 2e+04 ms"),
-        ("axis.limits.effort_saturation_ms=20001", "the trip for an effort that stands at its limit"),
+        ("axis.limits.effort_saturation_ms=20001", "the trip for an effort that stays at its limit"),
         ("axis.limits.feedback_errors=67", "the trip for bad frames: with more than 67 in 100 ticks"),
         ("axis.limits.position_overrun=5001", "the position limits"),
-        ("axis.limits.undetected_travel=5001", "an encoder that counts wrongly"),
+        ("axis.limits.undetected_travel=5001", "the bound on travel with a wrong encoder"),
         ("axis.arming_timeout_ms=20001", "a drive that does not disable"),
         ("axis.homing.slow_velocity=1e-8", "motion: at less than 2.78e-07 mm/s"),
     ],
@@ -135,7 +135,7 @@ def test_a_time_to_brake_in_which_the_axis_does_not_come_to_rest_is_warned_of(
     assert (code, keys) == (0, [("service.shutdown_timeout_ms", stated_ms)] if is_warned else [])
     if is_warned:
         (warning,) = told["warnings"]
-        assert "axis gantry takes 5572 ms to stop from 1 m/s, and its drive is disabled before" in warning["disables"]
-        assert warning["do"] == "remove it, or state 5572 at least"
+        assert "axis gantry takes 5572 ms to stop from 1 m/s, but its drive is disabled earlier" in warning["disables"]
+        assert warning["do"] == "remove it, or set at least 5572"
     elif stated_ms is None:
         assert told["longest_end_s"] == pytest.approx(12.5 + 2.0 * 5.572, abs=0.01)

@@ -64,7 +64,7 @@ def test_a_verb_after_which_the_drive_should_be_off_says_that_nobody_knows_wheth
     assert run(monkeypatch, verb, shown[name])[0] == 3
     out = capsys.readouterr().out
     assert out.startswith(f"x: disarmed at unknown mm; {why}\n")
-    assert "x: it is not known whether the drive is off; its own command time-out must have stopped it" in out
+    assert "x: nobody knows whether the drive is off; its own command time-out should have stopped it" in out
     assert run(monkeypatch, verb, shown["disarmed"])[0] == 0
     assert "not known" not in capsys.readouterr().out
 
@@ -107,7 +107,7 @@ def test_a_trip_file_that_could_not_be_written_is_told_and_so_is_each_later_trip
     assert "\nfile: no trip file can be written in /" in out
     assert "Not a directory" in out
     assert "status --recording FILE" in out
-    assert "\ntripped by as well: drive_fault" in out
+    assert "\nfurther trips: drive_fault" in out
     assert "no trip file can be written in /" in shown["line"]["line"]
 
 

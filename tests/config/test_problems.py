@@ -122,23 +122,23 @@ WRONG_KEYS = [
         "axis.limits",
         "the table is missing (What the axis must never exceed)",
     ),
-    Broken(AXIS, AXIS_WITHOUT_LIMITS, "axis.limits", "it needs the keys: velocity, overspeed"),
+    Broken(AXIS, AXIS_WITHOUT_LIMITS, "axis.limits", "required keys: velocity, overspeed"),
     Broken("900.0", "900\nvelocty = 1 # <--", "axis.limits.velocty", "unknown key; did you mean axis.limits.velocity?"),
     Broken(
         "900.0",
         "900\nvelocty = 1 # <--",
         "axis.limits.velocty",
-        "[axis.limits] knows: velocity, overspeed, missed_ticks",
+        "keys of [axis.limits]: velocity, overspeed, missed_ticks",
     ),
     Broken('"mm"', '"mm"\nvelocity = 5 # <--', "axis.velocity", "unknown key; did you mean axis.limits.velocity?"),
-    Broken('"mm"', '"mm"\nqqq = 5 # <--', "axis.qqq", "= 5: unknown key; [axis] knows: unit, home, fault"),
+    Broken('"mm"', '"mm"\nqqq = 5 # <--', "axis.qqq", "= 5: unknown key; keys of [axis]: unit, home, fault"),
     Broken('"mm"', '"mm"\n"uni t" = 5 # <--', 'axis."uni t"', "unknown key; did you mean axis.unit?"),
     Broken('"mm"', '"mm"\nlimit.velocity = 5 # <--', "axis.limit", "unknown key; did you mean axis.limits?"),
     Broken(
-        "2.0", "2.0\nspeed = 1 # <--", "axis.waypoints[1].speed", "unknown key; [axis.waypoints[1]] knows: position"
+        "2.0", "2.0\nspeed = 1 # <--", "axis.waypoints[1].speed", "unknown key; keys of [axis.waypoints[1]]: position"
     ),
-    Broken("[bus]", "[buss] # <--", "buss", "buss: unknown key; did you mean bus?; the file knows: bus, axis"),
-    Broken("# a machine", "speed = 1 # <--", "speed", "speed = 1: unknown key; the file knows: bus, axis"),
+    Broken("[bus]", "[buss] # <--", "buss", "buss: unknown key; did you mean bus?; keys of the file: bus, axis"),
+    Broken("# a machine", "speed = 1 # <--", "speed", "speed = 1: unknown key; keys of the file: bus, axis"),
 ]
 
 GIVEN_TWICE = [
@@ -161,7 +161,7 @@ SYNTAX = [
     (
         '"mm"',
         "mm # <--",
-        "not TOML at column 8: Invalid value: text goes in quotes",
+        "not TOML at column 8: Invalid value: write text in quotes",
         "\n    unit = mm # <--\n           ^",
     ),
     (
@@ -186,7 +186,7 @@ SYNTAX = [
         "not TOML at column 20: Expected \"'''\" (the file ends too early)",
         "^",
     ),
-    ("900.0", "9" * 5000 + " # <--", "holds a value that cannot be read", "4300"),
+    ("900.0", "9" * 5000 + " # <--", "contains a value that cannot be read", "4300"),
     ("900.0", "[" * 5000, "nested too deeply", "three levels"),
 ]
 

@@ -84,7 +84,7 @@ def test_the_socket_of_a_configuration_is_read_once_and_the_rest_is_not_judged(
         ("a = 1\nservice = 5\n", ":2: service = 5: a table is needed"),
         ('service = "x"\n', ':1: service = "x": a table is needed'),
         ("[service]\nsocket = x\n", ":2: not TOML at column 10"),
-        ("", ": there is no setting in this file"),
+        ("", ": there are no settings in this file"),
     ],
 )
 def test_a_socket_that_cannot_be_had_is_told_with_its_place(text: str, says: str, tmp_path: Path) -> None:

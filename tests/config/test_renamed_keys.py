@@ -65,7 +65,7 @@ def test_a_value_under_a_former_name_is_refused_at_its_line(demo_with: Callable[
 def test_both_names_in_one_file_are_refused_with_both_lines(demo_with: Callable[[str], Path]) -> None:
     path = demo_with('\n[realtime]\nspin = "off"\nbusy_wait = "auto"\n')
     last = len(path.read_text(encoding="utf-8").splitlines())
-    with pytest.raises(ConfigError, match=rf"axis\.toml:{last - 1}: realtime\.spin: .*is in line {last} as well"):
+    with pytest.raises(ConfigError, match=rf"axis\.toml:{last - 1}: realtime\.spin: .*is also in line {last}"):
         load(path)
 
 

@@ -118,6 +118,6 @@ def test_another_content_of_the_dbc_is_told(tmp_path: Path) -> None:
     traits = DBC.build(settings, tmp_path, "mm", False).traits
     DBC.check_unchanged(settings, tmp_path, traits)
     (tmp_path / "mine.dbc").write_bytes(shipped + b"\n")
-    with pytest.raises(ProtocolError, match="only a restart") as caught:
+    with pytest.raises(ProtocolError, match="restart the service") as caught:
         DBC.check_unchanged(settings, tmp_path, traits)
     assert caught.value.key == ("protocol", "dbc")

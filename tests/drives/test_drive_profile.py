@@ -451,7 +451,7 @@ def test_wrong_unit_is_refused_unless_a_scale_says_how_to_convert() -> None:
         ({"feedback": {"checksum": "AliveCounter"}}, "feedback.checksum", "one whole byte"),
         ({"command": {"effort": "Efort"}}, "command.effort", "Did you mean 'Effort'"),
         ({"command": {"effort": "Enable", "enable": False}}, "command.effort", "effort of both signs"),
-        ({"command": {"counter": False}}, "command.constants", "nothing says what to send in AliveCounter"),
+        ({"command": {"counter": False}}, "command.constants", "there is no value to send in AliveCounter"),
         ({"command": {"constants": {"Mode": 1.0}}}, "command.constants.Mode", "has no signal 'Mode'"),
         ({"command": {"constants": {"Enable": 1.0}}}, "command.constants.Enable", "used for two purposes"),
         (
@@ -521,7 +521,7 @@ def test_multiplexed_feedback_is_refused(folder: Path) -> None:
 def test_an_effort_that_cannot_be_zero_is_refused(folder: Path) -> None:
     shifted = DBC.read_text(encoding="cp1252").replace("Effort : 0|16@1- (0.001,0)", "Effort : 0|16@1- (0.001,0.0005)")
     (folder / "shifted.dbc").write_text(shifted, encoding="cp1252")
-    with pytest.raises(ProtocolError, match="cannot hold 0 exactly") as caught:
+    with pytest.raises(ProtocolError, match="cannot represent 0 exactly") as caught:
         DriveProfile.compile(shipped_settings(dbc="shifted.dbc"), folder, "mm")
     assert caught.value.key == ("protocol", "command", "effort")
 

@@ -218,7 +218,7 @@ def test_a_count_may_end_before_its_bits_do() -> None:
     ids=["signed", "scale", "offset", "float", "minimum"],
 )
 def test_a_count_is_a_plain_unsigned_integer(unfit: Signal) -> None:
-    with pytest.raises(ValueError, match=r"signal S: must be an unsigned integer from 0 on"):
+    with pytest.raises(ValueError, match=r"signal S: must be an unsigned integer that starts at 0"):
         codec_of(unfit).count("S")
 
 
@@ -311,8 +311,8 @@ def test_a_can_fd_message_has_a_length_that_there_is() -> None:
 @pytest.mark.parametrize(
     ("unfit", "text"),
     [
-        (signal(scale=0), "scale not 0"),
-        (signal(minimum=300, maximum=400), "leave no value"),
+        (signal(scale=0), "scale must not be 0"),
+        (signal(minimum=300, maximum=400), "allow no value"),
     ],
     ids=["scale 0", "empty range"],
 )
@@ -335,7 +335,7 @@ def test_a_signal_without_values_is_refused(unfit: Signal, text: str) -> None:
     ],
 )
 def test_a_scale_or_offset_that_no_drive_has_is_refused_before_anything_runs(scale: float, offset: float) -> None:
-    with pytest.raises(ValueError, match=r"scale .* and offset .* must be finite, of magnitude 1e\+09 at most"):
+    with pytest.raises(ValueError, match=r"scale .* and offset .* must be finite and at most 1e\+09 in magnitude"):
         codec_of(signal(scale=scale, offset=offset)).quantity("S")
 
 

@@ -105,7 +105,7 @@ def test_what_is_wrong_with_its_table_is_told_by_its_own_keys(tmp_path: Path) ->
     assert (problem.key, problem.value, problem.line) == ("protocol.node", "200", len(DEMO.split("\n")) + 3)
     assert "at least 1, at most 127 (Number of the drive's node)" in problem.message
     problem = refused(with_protocol(tmp_path, 'type = "node"', "node = 2", 'dbc = "mine.dbc"'))
-    assert (problem.key, problem.message) == ("protocol.dbc", "unknown key; [protocol] knows: type, node")
+    assert (problem.key, problem.message) == ("protocol.dbc", "unknown key; keys of [protocol]: type, node")
     problem = refused(with_protocol(tmp_path, 'type = "node"'))
     assert (problem.key, problem.message[:10]) == ("protocol.node", "is missing")
 

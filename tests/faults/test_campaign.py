@@ -300,7 +300,7 @@ def test_a_speed_that_is_told_too_late_to_be_unreachable_is_seen(monkeypatch: py
     monkeypatch.setattr(Supervision, "start", with_patience)
     cell = run(29, phase)
     assert cell.observed == cell.expected
-    assert re.fullmatch("the effort stood at its limit for 5[12] ticks, 50 are allowed", cell.wrong)
+    assert re.fullmatch("the effort was at its limit for 5[12] ticks, 50 are allowed", cell.wrong)
 
 
 def test_a_switch_that_nobody_gets_off_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -324,7 +324,7 @@ def test_a_service_that_goes_on_after_a_signal_is_seen(monkeypatch: pytest.Monke
     monkeypatch.setattr(EndingSignals, "_begin_to_end", lambda *_: None)
     cell = cell_of(61)
     assert not cell.met
-    assert cell.wrong.endswith("the service goes on")
+    assert cell.wrong.endswith("the service continues")
 
 
 def test_a_second_signal_that_cuts_the_braking_short_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -349,8 +349,8 @@ def test_a_trip_that_needs_a_thread_is_seen(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_a_trip_for_which_there_is_no_memory_and_no_word_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(TripFiles, "fail", lambda *_: None)
-    assert "is told: nothing" in cell_of(64).wrong
-    assert "is told: nothing" in cell_of(62).wrong
+    assert "of the trip file: nothing" in cell_of(64).wrong
+    assert "of the trip file: nothing" in cell_of(62).wrong
 
 
 def test_a_socket_that_is_not_made_again_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:

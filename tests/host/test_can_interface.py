@@ -77,9 +77,9 @@ def test_an_interface_that_is_set_up_well(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("files", "status", "words"),
     [
-        ({"sys/class/net/lo/type": "772\n"}, Status.FAIL, "interfaces that are there: none"),
-        ({"sys/class/net/can1/type": "280\n"}, Status.FAIL, "there: can1"),
-        ({NET + "type": "1\n", NET + "flags": "0x1003\n"}, Status.FAIL, "no CAN interface"),
+        ({"sys/class/net/lo/type": "772\n"}, Status.FAIL, "interfaces present: none"),
+        ({"sys/class/net/can1/type": "280\n"}, Status.FAIL, "present: can1"),
+        ({NET + "type": "1\n", NET + "flags": "0x1003\n"}, Status.FAIL, "not a CAN interface"),
         ({NET + "type": "280\n", NET + "flags": "0x40080\n"}, Status.FAIL, "sudo ip link set can0 up type can bitrate"),
         ({"sys/kernel/x": ""}, Status.SKIP, "cannot be read"),
     ],
@@ -122,7 +122,7 @@ def test_an_output_that_is_not_understood_is_skipped(tmp_path: Path, output: str
         (72, False, Status.OK, "carries classic and CAN FD frames; the service sends classic ones"),
         (72, True, Status.OK, "the service sends CAN FD ones"),
         (16, True, Status.FAIL, "bus.fd is true, but can0 carries classic frames only (mtu 16)"),
-        (None, True, Status.SKIP, "does not tell"),
+        (None, True, Status.SKIP, "does not report"),
     ],
 )
 def test_an_interface_has_to_carry_the_frames_that_are_sent(
@@ -138,7 +138,7 @@ def test_an_interface_has_to_carry_the_frames_that_are_sent(
 def test_a_virtual_interface_has_no_controller(tmp_path: Path) -> None:
     link = {**healthy(), "linkinfo": {"info_kind": "vcan"}}
     result = check(tmp_path, link)
-    assert found(result, "bus controller") == (Status.SKIP, "can0 is of kind vcan: there is no controller")
+    assert found(result, "bus controller") == (Status.SKIP, "can0 is of kind vcan: it has no controller")
     assert result.bit_rate is None
 
 
@@ -227,5 +227,5 @@ def test_programs_are_run_and_their_failures_are_told() -> None:
     assert run_program(["true"]) == ""
     with pytest.raises(FileNotFoundError):
         run_program(["no-such-program-anywhere"])
-    with pytest.raises(OSError, match="ended with 1"):
+    with pytest.raises(OSError, match="ended with exit code 1"):
         run_program(["false"])

@@ -78,7 +78,7 @@ def test_the_verdict_gives_its_figures() -> None:
         "no tick missed; 99 % came within 0.25 µs, the worst 30 µs late (good is none missed, 200 µs and 2500 µs)",
     )
     assert (
-        "3 ticks missed, at most 2 in one go (the axis tolerates 2)"
+        "3 ticks missed, at most 2 in a row (the axis tolerates 2)"
         in judge(measurement(1.0, missed=3, most=2), 2).reason
     )
 

@@ -63,11 +63,11 @@ def test_governor(tmp_path: Path, governors: list[str], status: Status, words: s
     ("asked", "isolated", "quiet", "status", "words"),
     [
         ([], "\n", "(null)\n", Status.OK, "CPU 0,1,2,3 online, none isolated"),
-        ([2, 3], "2-3\n", "2-3\n", Status.OK, "CPU 2,3 isolated, and without"),
+        ([2, 3], "2-3\n", "2-3\n", Status.OK, "CPU 2,3 isolated, without"),
         ([3], "2-3\n", None, Status.OK, "CPU 3 isolated, but with"),
-        ([3], "\n", None, Status.WARN, "CPU 3 asked for, but other processes"),
-        ([], "3\n", None, Status.WARN, "CPU 3 isolated, and not used"),
-        ([3, 7], "3\n", None, Status.FAIL, "names CPU 7, online are CPU 0,1,2,3"),
+        ([3], "\n", None, Status.WARN, "CPU 3 requested, but other processes"),
+        ([], "3\n", None, Status.WARN, "CPU 3 isolated, but not used"),
+        ([3, 7], "3\n", None, Status.FAIL, "names CPU 7; online: CPU 0,1,2,3"),
     ],
 )
 def test_cpus(tmp_path: Path, asked: list[int], isolated: str, quiet: str | None, status: Status, words: str) -> None:
@@ -84,7 +84,7 @@ def test_cpus_that_are_not_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("priority", "limit", "capabilities", "status", "words"),
     [
-        (0, 0, [], Status.SKIP, "not asked for"),
+        (0, 0, [], Status.SKIP, "not requested"),
         (50, None, [], Status.OK, "up to 99"),
         (50, 50, [], Status.OK, "up to 50"),
         (50, 0, [CAP_SYS_NICE], Status.OK, "CAP_SYS_NICE"),
@@ -103,7 +103,7 @@ def test_priority(priority: int, limit: int | None, capabilities: list[int], sta
         ("950000\n", 50, Status.OK, "950000 of 1000000"),
         ("-1\n", 50, Status.WARN, "off"),
         ("0\n", 50, Status.FAIL, "no time"),
-        ("-1\n", 0, Status.SKIP, "not asked for"),
+        ("-1\n", 0, Status.SKIP, "not requested"),
         (None, 50, Status.SKIP, "cannot be read"),
     ],
 )
@@ -115,7 +115,7 @@ def test_throttling(tmp_path: Path, text: str | None, priority: int, status: Sta
 @pytest.mark.parametrize(
     ("asked", "limit", "capabilities", "status", "words"),
     [
-        (False, 0, [], Status.SKIP, "not asked for"),
+        (False, 0, [], Status.SKIP, "not requested"),
         (True, None, [], Status.OK, "unlimited"),
         (True, 1 << 30, [], Status.OK, "1048576 KiB allowed"),
         (True, 8 << 20, [CAP_IPC_LOCK], Status.OK, "CAP_IPC_LOCK"),
@@ -207,19 +207,19 @@ def test_a_folder_that_is_there_or_can_be_made(tmp_path: Path) -> None:
 
     expect(folder_finding("f", tmp_path, "k", free_bytes=free), Status.OK, f"{tmp_path}, 1024 MiB free")
     absent = tmp_path / "a" / "b"
-    expect(folder_finding("f", absent, "k", free_bytes=free), Status.OK, f"{absent}, to be made, 1024")
+    expect(folder_finding("f", absent, "k", free_bytes=free), Status.OK, f"{absent} (will be created), 1024")
     assert not absent.exists()
 
 
 def test_a_folder_that_cannot_be_used(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    expect(folder_finding("f", file, "k"), Status.FAIL, "is no folder")
-    expect(folder_finding("f", tmp_path / "x", "k", may_write=lambda _: False), Status.FAIL, "cannot be made in")
+    expect(folder_finding("f", file, "k"), Status.FAIL, "is not a folder")
+    expect(folder_finding("f", tmp_path / "x", "k", may_write=lambda _: False), Status.FAIL, "cannot be created in")
     expect(folder_finding("f", tmp_path, "k", may_write=lambda _: False), Status.FAIL, "cannot be written")
-    expect(folder_finding("f", Path("/" + 300 * "x"), "k"), Status.FAIL, "cannot be looked at")
+    expect(folder_finding("f", Path("/" + 300 * "x"), "k"), Status.FAIL, "cannot be examined")
     tmp_path.chmod(0o777)
-    expect(folder_finding("f", tmp_path, "k"), Status.FAIL, "writable by everybody")
+    expect(folder_finding("f", tmp_path, "k"), Status.FAIL, "everybody can write to")
     tmp_path.chmod(0o1777)
     assert folder_finding("f", tmp_path, "k", free_bytes=lambda _: 1 << 30).status is Status.OK
 

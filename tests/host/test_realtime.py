@@ -65,7 +65,7 @@ def test_memory_is_not_locked_under_a_limit_that_leaves_no_room_to_grow() -> Non
     kernel = FakeKernel(limit=200_000 << 10)
     (grant,) = realtime.apply(RealtimeSettings(lock_memory=True), kernel).warnings
     assert not kernel.locked
-    assert "200000 KiB may be locked, and 362144 KiB are needed" in grant.warning
+    assert "200000 KiB may be locked, but 362144 KiB are needed" in grant.warning
     for kernel in (FakeKernel(limit=400_000 << 10), FakeKernel(limit=0, capabilities=[CAP_IPC_LOCK])):
         assert realtime.apply(RealtimeSettings(lock_memory=True), kernel).warnings == []
         assert kernel.locked
@@ -93,7 +93,7 @@ def test_a_user_without_a_name_is_named_by_number(monkeypatch: pytest.MonkeyPatc
         ({"busy_wait": "fast"}, "'off' or 'auto'"),
         ({"busy_wait": True}, "valid number"),
         ({"priority": 100}, "less than or equal to 99"),
-        ({"cpus": [-1]}, "number from 0 on"),
+        ({"cpus": [-1]}, "number, 0 or greater"),
         ({"cpus": [1, 1]}, "named twice"),
     ],
 )

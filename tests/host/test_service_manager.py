@@ -24,12 +24,17 @@ def host(*lines: str, error: OSError | None = None) -> Host:
     ("lines", "longest_s", "status", "words"),
     [
         (("LoadState=loaded", "NotifyAccess=main", "TimeoutStopUSec=15s"), 12.8, Status.OK, "waits for 15 s"),
-        (("LoadState=loaded", "NotifyAccess=main", "TimeoutStopUSec=15s"), 72.0, Status.OK, "when the service asks"),
+        (("LoadState=loaded", "NotifyAccess=main", "TimeoutStopUSec=15s"), 72.0, Status.OK, "if the service asks"),
         (("LoadState=loaded", "NotifyAccess=none", "TimeoutStopUSec=15s"), 12.8, Status.OK, "waits for 15 s"),
         (("LoadState=loaded", "NotifyAccess=none", "TimeoutStopUSec=1min 30s"), 91.0, Status.WARN, "waits for 90 s"),
         (("LoadState=loaded", "NotifyAccess=none", "TimeoutStopUSec=infinity"), 91.0, Status.OK, "waits for inf s"),
-        (("LoadState=loaded", "NotifyAccess=none", "TimeoutStopUSec=soon"), 91.0, Status.SKIP, "does not say"),
-        (("LoadState=not-found", "TimeoutStopUSec=1min 30s"), 1.0, Status.SKIP, "there is no twostage-servo.service"),
+        (("LoadState=loaded", "NotifyAccess=none", "TimeoutStopUSec=soon"), 91.0, Status.SKIP, "does not report"),
+        (
+            ("LoadState=not-found", "TimeoutStopUSec=1min 30s"),
+            1.0,
+            Status.SKIP,
+            "service is not installed",
+        ),
     ],
 )
 def test_how_long_it_waits(lines: Sequence[str], longest_s: float, status: Status, words: str) -> None:
@@ -41,7 +46,7 @@ def test_how_long_it_waits(lines: Sequence[str], longest_s: float, status: Statu
 
 @pytest.mark.parametrize(
     ("error", "words"),
-    [(FileNotFoundError(), "no systemd here"), (OSError("not booted with it"), "asked: not booted with it")],
+    [(FileNotFoundError(), "no systemd"), (OSError("not booted with it"), "failed: not booted with it")],
 )
 def test_without_a_manager_there_is_nothing_to_check(error: OSError, words: str) -> None:
     finding = service_manager_finding(host(error=error), 1.0)

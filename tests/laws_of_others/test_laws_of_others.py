@@ -97,7 +97,7 @@ def test_the_ratio_in_both_places_is_an_error_that_names_both(tmp_path: Path) ->
     told = refused(file=file)
     for number in (text.splitlines().index("performance_index_ratio = 5.0e-5") + 1, len(text.splitlines()) + 3):
         assert f"both.toml:{number}: axis.law." in told
-    assert told.count("stands in axis.law and in axis.law.paper: remove one of the two") == 2
+    assert told.count("is set in axis.law and in axis.law.paper: remove one of the two") == 2
 
 
 def test_the_older_place_of_the_ratio_means_the_same() -> None:

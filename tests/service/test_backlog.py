@@ -70,8 +70,8 @@ def test_a_held_axis_does_not_swing_on_feedback_that_waits_behind_foreign_frames
         assert world.axis.trip.code is TripCode.STALE_FEEDBACK
         assert world.axis.trip.tick - begun <= 5
         cause = world.axis.trip.cause
-        assert f"ended at {most(world)} frames (bus.max_frames_per_tick)" in cause
-        assert "2 reads in a row" in cause
+        assert f"stopped at {most(world)} frames (bus.max_frames_per_tick)" in cause
+        assert "the last 2 reads began with a backlog" in cause
         assert world.state() is State.TRIPPED
         assert farthest < 40.0  # 3 V for 2 s, which nothing holds once the drive is off
         shown = world.loop.snapshot()
@@ -119,7 +119,7 @@ def test_an_axis_is_not_armed_on_feedback_of_no_known_age(bus, opener) -> None: 
         await world.until(lambda: world.axis.ready_to_arm)
         flood(world, most(world) + 150)
         await world.seconds(0.1)
-        with pytest.raises(Refused, match="brings frames faster than they are read") as refused:
+        with pytest.raises(Refused, match="frames arrive faster than they are read") as refused:
             world.axis.arm()
         assert refused.value.code == "no_feedback"
 
@@ -184,7 +184,7 @@ def test_a_dated_frame_that_has_lain_there_unread_is_not_fresh() -> None:
         await world.until(lambda: world.axis.trip is not None, 1.0)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.STALE_FEEDBACK
-        assert "have come too late to count" in world.axis.trip.cause
+        assert "arrived too late to count" in world.axis.trip.cause
 
     simulate(script)
 

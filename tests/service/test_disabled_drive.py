@@ -79,14 +79,14 @@ def test_a_drive_that_stays_enabled_after_disarm_trips_and_is_told_everywhere_fo
         assert "arming_timeout_ms is 500" in one["cause"]
         line = world.line()
         assert "x tripped (drive_not_disabled)" not in line  # the distance stands between
-        assert "(drive_not_disabled): the drive reports that it is enabled" in line
+        assert "(drive_not_disabled): the drive was told to disable" in line
         assert "while disabled" in line
         repeated = [log for log in logs if log["event"] == "the cause of the trip lasts"]
         assert [log["code"] for log in repeated] == ["drive_not_disabled"] * 2
-        motion = [log for log in logs if "moves while its drive is told" in log["event"]]
+        motion = [log for log in logs if "moves although its drive was told" in log["event"]]
         assert 2 <= len(motion) <= 4
         assert all(command.enable is False for tick, command in world.sent()[-100:])
-        with pytest.raises(Refused, match="reports that it is enabled, for") as refused:
+        with pytest.raises(Refused, match="that it is enabled") as refused:
             ask(world, op="reset")
         assert refused.value.code == "drive_not_disabled"
         for request in ({"op": "arm"}, {"op": "stop"}, {"op": "move", "position": 0.0}):
@@ -110,7 +110,7 @@ def foreign(world: World) -> None:
 
 
 def sto_is_told(world: World) -> None:
-    world.axis.raise_trip(TripCode.SAFE_TORQUE_OFF, "the drive reports that its safe torque off has been asked for")
+    world.axis.raise_trip(TripCode.SAFE_TORQUE_OFF, "the drive reports that safe torque off is active")
 
 
 def quick(world: World) -> None:
@@ -131,7 +131,7 @@ def test_a_trip_that_was_there_already_does_not_hide_it(trip: Callable[[World], 
         assert lasting(world) == ["drive_not_disabled"]
         line = world.line()
         assert f"({first.code})" in line
-        assert "Besides (drive_not_disabled): the drive reports" in line
+        assert "Besides (drive_not_disabled): the drive was told" in line
         with pytest.raises(Refused, match="told to disable"):
             ask(world, op="reset")
         with pytest.raises(Refused, match=r"tripped \(drive_not_disabled\)"):
@@ -359,7 +359,7 @@ def test_an_axis_that_moves_while_its_drive_is_off_is_told_and_does_not_trip(ove
         assert told["moved"] == pytest.approx(moved, abs=0.6)
         assert told["lasting"] == []
         assert f"moved by {told['moved']:+.3g} mm while disabled" in world.line()
-        (log,) = [log for log in logs if "moves while its drive is told" in log["event"]]
+        (log,) = [log for log in logs if "moves although its drive was told" in log["event"]]
         assert (log["log_level"], log["unit"]) == ("warning", "mm")
         assert 0.5 < log["moved"] < 0.6
         assert world.axis.trip is None
@@ -463,7 +463,7 @@ def test_a_heartbeat_that_contradicts_an_enabled_drive_trips(said: str) -> None:
         assert 0.3 <= now_s() - begun_s <= 0.45  # heartbeat_ms is 300, and one comes every 100
         assert (world.state(), codes(world)) == (State.TRIPPED, ["drive_state_mismatch"])
         assert "heartbeat has said" in world.axis.trip.cause  # type: ignore[union-attr]
-        assert "its feedback enabled without a fault" in world.axis.trip.cause  # type: ignore[union-attr]
+        assert "its feedback has said enabled without a fault" in world.axis.trip.cause  # type: ignore[union-attr]
 
     simulate(script)
 
@@ -476,7 +476,7 @@ def test_a_heartbeat_that_contradicts_a_disabled_drive_trips_and_lasts(said: str
         await world.until(lambda: world.axis.trip is not None, 2.0)
         assert (world.state(), codes(world)) == (State.TRIPPED, ["drive_state_mismatch"])
         assert lasting(world) == ["drive_state_mismatch"]
-        with pytest.raises(Refused, match="its feedback disabled without a fault") as refused:
+        with pytest.raises(Refused, match="its feedback has said disabled without a fault") as refused:
             ask(world, op="reset")
         assert refused.value.code == "drive_state_mismatch"
         change(world, heartbeat_state=None)

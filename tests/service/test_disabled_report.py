@@ -12,7 +12,7 @@ from twostage_servo.timing.ticks import Tick
 
 EVERY = 1000
 """Ticks of 10 ms in 10 s."""
-MOVES = "the axis moves while its drive is told to be disabled"
+MOVES = "the axis moves although its drive was told to disable"
 
 
 class Told:

@@ -102,8 +102,8 @@ def test_later_trips_are_told_with_their_own_tick_and_anew_after_a_reset() -> No
         told.axis.trip = told.event_log._trip  # the same first one
         told.axis.escalation = fault
         assert told.tick(21) == [
-            line("trip, as well", "error", 11, code=TripCode.OVERSPEED, cause=overspeed.cause),
-            line("trip, more severe", "error", 12, code=TripCode.DRIVE_FAULT, cause=fault.cause),
+            line("further trip", "error", 11, code=TripCode.OVERSPEED, cause=overspeed.cause),
+            line("more severe trip", "error", 12, code=TripCode.DRIVE_FAULT, cause=fault.cause),
         ]
         assert told.tick(22) == []
         told.trips()
@@ -114,7 +114,7 @@ def test_a_trip_with_others_in_its_tick_is_told_with_all_of_them() -> None:
     told = Told()
     told.tick(0)
     told.trips(TripCode.STALL, TripCode.OVERSPEED)
-    assert [one["event"] for one in told.tick(1)] == ["trip", "trip, as well"]
+    assert [one["event"] for one in told.tick(1)] == ["trip", "further trip"]
 
 
 @pytest.mark.parametrize("stale", [True, False])

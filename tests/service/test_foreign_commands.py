@@ -69,7 +69,7 @@ def test_a_disarmed_axis_that_another_node_drives_trips_within_three_ticks_and_s
         assert trip is not None
         assert (world.state(), trip.code) == (State.TRIPPED, TripCode.FOREIGN_COMMAND)
         assert "another node on the bus commands this drive: 0x201 [" in trip.cause
-        assert "asks for an effort of 15 V" in trip.cause
+        assert "commands an effort of 15 V" in trip.cause
         assert lasting(world) == ["foreign_command"]
         assert "x tripped (foreign_command)" in world.line()
         with pytest.raises(Refused, match="0x201") as refused:
@@ -155,7 +155,7 @@ def test_what_cannot_be_read_as_a_command_is_told_too() -> None:
         Other(world).send_broken()
         await world.seconds(0.02)
         (one,) = drive_told(world)["lasting"]
-        assert "0x201 [00 00 00], which is no valid command" in one["cause"]
+        assert "0x201 [00 00 00], which is not a valid command" in one["cause"]
         assert world.axis.trip is None
 
     simulate(script)

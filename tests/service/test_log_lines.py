@@ -43,13 +43,13 @@ def test_each_trip_of_an_axis_is_told_with_all_that_is_known_of_it() -> None:
 
     with structlog.testing.capture_logs() as logs:
         first, *later = simulate(script)
-    told, *others = of(logs, "trip", "trip, as well", "trip, more severe")
+    told, *others = of(logs, "trip", "further trip", "more severe trip")
     assert 0 <= told.pop("tick") - first.tick <= 2
     assert told == {
         "event": "trip", "log_level": "error", "axis": "x", "code": "speed_unreachable",
         "cause": "cause of speed_unreachable", "next_action": first.next_action,
     }  # fmt: skip
-    assert [line.pop("event") for line in others] == ["trip, more severe", "trip, as well", "trip, more severe"]
+    assert [line.pop("event") for line in others] == ["more severe trip", "further trip", "more severe trip"]
     assert others == [
         {"log_level": "error", "axis": "x", "tick": one.tick, "code": code, "cause": f"cause of {code}"}
         for one, code in zip(later, codes[1:], strict=True)
@@ -111,7 +111,7 @@ def test_a_recording_for_which_there_is_no_memory_is_told(
         error = world.loop.snapshot()["trip"]["file_error"]
         assert error == (why if to_a_file else None)
 
-    why = f"no trip file can be written in {tmp_path}: no memory is left"
+    why = f"no trip file can be written in {tmp_path}: out of memory"
     with structlog.testing.capture_logs() as logs:
         simulate(script)
     told = of(logs, "no recording of the trip: out of memory", "no trip file")

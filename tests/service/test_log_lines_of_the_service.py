@@ -42,7 +42,7 @@ def test_a_drive_that_could_not_be_told_to_disable_is_told_with_the_reason(monke
     with structlog.testing.capture_logs() as logs:
         simulate(script)
     text = "the drive could not be told to disable; only its own command time-out stops it"
-    assert of(logs, text) == [{"event": text, "log_level": "error", "axis": "x", "error": "the bus takes no frame"}]
+    assert of(logs, text) == [{"event": text, "log_level": "error", "axis": "x", "error": "the bus accepts no frame"}]
 
 
 def test_a_defect_in_a_request_ends_the_service_and_is_told_to_log_and_client() -> None:
@@ -128,7 +128,7 @@ def test_a_move_by_a_way_begins_where_the_last_one_ended() -> None:
 
 @pytest.mark.parametrize(
     ("error", "why"),
-    [(OSError("disk full"), "disk full"), (MemoryError(), "no memory is left"), (RuntimeError(), "RuntimeError")],
+    [(OSError("disk full"), "disk full"), (MemoryError(), "out of memory"), (RuntimeError(), "RuntimeError")],
 )
 def test_a_trip_file_that_could_not_be_written_is_told_with_folder_and_reason(
     tmp_path: Path, error: BaseException, why: str

@@ -137,7 +137,7 @@ def test_the_log_says_on_what_positions_rest_and_why_no_longer() -> None:
     assert known == ("the position is known", None)
     assert lost == (
         "the position is no longer known: home the axis",
-        "the drive has rebooted, and its encoder starts to count anew",
+        "the drive has rebooted, and its encoder has restarted its count",
     )
 
 
@@ -167,16 +167,16 @@ def test_status_says_on_what_positions_rest() -> None:
         return line.removeprefix("positions").strip()
 
     async def script(world: World) -> None:
-        assert told(world).endswith("has not been homed since the service started; the axis is not seen just now")
+        assert told(world).endswith("has not been homed since the service started; no fresh feedback at present")
         await world.until(lambda: world.axis.ready_to_arm)
-        assert told(world) == "as the encoder counts them; the axis has not been homed since the service started"
+        assert told(world) == "as counted by the encoder; the axis has not been homed since the service started"
         world.axis.set_position(50.0)
         assert told(world) == "homed"
         world.drive.reboot(asyncio.get_running_loop().time(), 0.2)
         await world.seconds(0.1)
-        assert told(world) == "homed; the axis is not seen just now"
+        assert told(world) == "homed; no fresh feedback at present"
         await world.seconds(0.3)
-        assert told(world) == "not known: the drive has rebooted, and its encoder starts to count anew"
+        assert told(world) == "not known: the drive has rebooted, and its encoder has restarted its count"
 
     simulate(script)
 

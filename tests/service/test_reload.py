@@ -158,10 +158,10 @@ def test_an_axis_that_is_not_disarmed_is_left_as_it_is(state: State) -> None:
         ("index_ratio = 5.0e-5", "index_ratio = 10.0", "axis.law.performance_index_ratio", "unstable"),
         ("effort = 24.0 ", "effort = 40.0 ", "axis.limits.effort", "carries at most 32"),
         ('effort_unit = "V"', "effort_unit = 5", "axis.effort_unit", "a text"),
-        ("tick_ms = 10.0", "tick_ms = 20.0", "service", "only a restart"),
-        ('channel = "twostage-servo-demo"', 'channel = "another"', "bus", "only a restart"),
-        ("[simulation] ", '[protocol.feedback]\nsampling = "cyclic"\n\n[simulation] ', "protocol", "only a restart"),
-        ('unit = "mm"', 'unit = "deg"', "axis.unit", "only a restart"),
+        ("tick_ms = 10.0", "tick_ms = 20.0", "service", "restart the"),
+        ('channel = "twostage-servo-demo"', 'channel = "another"', "bus", "restart the"),
+        ("[simulation] ", '[protocol.feedback]\nsampling = "cyclic"\n\n[simulation] ', "protocol", "restart the"),
+        ('unit = "mm"', 'unit = "deg"', "axis.unit", "restart the"),
         ("[axis.limits]", "[axis.limits", "", "not TOML"),
     ],
 )  # fmt: skip
@@ -195,7 +195,7 @@ def test_a_dbc_file_that_has_changed_since_the_start_is_told_and_not_passed_over
         drive = world.axis_loop.drive
         assert isinstance(drive, DbcDrive)
         drive.traits = replace(drive.traits, digest="of another content")
-        with pytest.raises(ConfigError, match="the content of the DBC file has changed: only a restart") as error:
+        with pytest.raises(ConfigError, match="the content of the DBC file has changed: restart the service") as error:
             await reload()
         assert error.value.problems[0].key == "protocol.dbc"
         assert world.axis is axis

@@ -487,13 +487,13 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 
 def test_drives_with_the_same_identifiers_on_one_bus_are_refused(tmp_path: Path) -> None:
     path = machine_file(tmp_path, {"x": axis_page("x", "can0"), "y": axis_page("y", "can0")})
-    with pytest.raises(ConfigError, match=r"y\.toml.*axis x .* uses identifier 0x\w+ on this bus as well"):
+    with pytest.raises(ConfigError, match=r"y\.toml.*axis x .* also uses identifier 0x\w+ on this bus"):
         build_parts(load_machine(path))
 
 
 def test_an_offset_beyond_the_largest_identifier_is_refused(tmp_path: Path) -> None:
     path = machine_file(tmp_path, {"x": axis_page("x", "can0", offset=0x700)})
-    with pytest.raises(ConfigError, match=r"protocol\.identifier_offset.*more than 0x7FF"):
+    with pytest.raises(ConfigError, match=r"protocol\.identifier_offset.*exceeds 0x7FF"):
         build_parts(load_machine(path))
 
 
@@ -510,5 +510,5 @@ def test_an_override_reaches_the_axis_that_it_names(two_on_one_bus: Path) -> Non
     machine = load_machine(two_on_one_bus, ["y:axis.cruise_velocity=7", "service.tick_ms=5"])
     assert [loaded.config.axis.cruise_velocity for loaded in machine.axes] == [100.0, 7.0]
     assert machine.service.tick_ms == 5.0
-    with pytest.raises(ConfigError, match="there is no axis z; there are x, y"):
+    with pytest.raises(ConfigError, match="there is no axis z; the axes are x, y"):
         load_machine(two_on_one_bus, ["z:axis.cruise_velocity=7"])

@@ -64,7 +64,7 @@ def test_a_trip_is_told_with_its_cause_and_what_to_do_next() -> None:
         world.axis.raise_trip(TripCode.STALL, "effort 12 V\nand no motion.")
         await world.seconds(1.0)
         line = world.line()
-        assert line.startswith("x tripped (stall): effort 12 V and no motion. Find what holds the axis")
+        assert line.startswith("x tripped (stall): effort 12 V and no motion. Find what blocks the axis")
         world.axis.reset()
         assert world.line() == "x disarmed"
 

@@ -134,7 +134,7 @@ def test_other_parameters_act_from_where_it_is() -> None:
     assert (plant.position, plant.velocity) == (position, velocity)
     plant.advance(100.0, 1.0)
     assert plant.velocity == pytest.approx(90.0 / 7.0)
-    with pytest.raises(ValueError, match="not 0 and above 0"):
+    with pytest.raises(ValueError, match="gain must not be 0"):
         plant.change(0.0, 7.0, 0.0)
     with pytest.raises(ValueError, match="finite and not negative"):
         plant.change(1.0, 7.0, -1.0)

@@ -219,7 +219,7 @@ def test_places_that_cannot_be_meant_are_refused(settings: dict[str, float], tex
 
 def test_faults_of_the_plant_that_cannot_be_change_nothing() -> None:
     moved = axis()
-    with pytest.raises(ValueError, match="not 0 and above 0"):
+    with pytest.raises(ValueError, match="gain must not be 0"):
         moved.change(DriveFaults(gain_factor=0.0, stalled=True))
     moved.advance(1.0, 1.0)
     assert moved.position == pytest.approx(motion((1.0, 1.0))[0])

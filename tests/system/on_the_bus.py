@@ -139,7 +139,7 @@ def bus_blocked(bench: Bench) -> Figures:
     move(bench, "x", 0.0)
     before = bench.ask("x")["frames"]["sent"]
     run("tc", "qdisc", "add", "dev", "can0", "root", "tbf", "rate", "8bit", "burst", "16", "limit", "16000")
-    trip_s = tripped(bench, "x", "commands_dropped", "has not taken 2 commands in a row")
+    trip_s = tripped(bench, "x", "commands_dropped", "did not accept 2 commands in a row")
     queued = next(line for line in run("tc", "-s", "qdisc", "show", "dev", "can0").splitlines() if "backlog" in line)
     waiting = int(queued.split()[2].removesuffix("p"))
     dropped = bench.ask("x")["frames"]["dropped"]
@@ -160,7 +160,7 @@ def queue_full_of_others(bench: Bench) -> Figures:
     for _ in range(3):
         with contextlib.suppress(AssertionError):  # the last ones are told that the queue is full, as they should be
             run("cansend", "can0", "7FF#0102")
-    trip_s = tripped(bench, "x", "commands_dropped", "has not taken 2 commands in a row")
+    trip_s = tripped(bench, "x", "commands_dropped", "did not accept 2 commands in a row")
     dropped = bench.ask("x")["frames"]["dropped"] - before
     check(dropped >= 2, "they are counted", dropped=dropped)
     check(bench.ask("x")["bus"]["open"], "the bus stays open: it is full, not gone")

@@ -450,7 +450,7 @@ def test_a_trip_for_which_there_is_no_memory_is_told_and_changes_nothing_else(
     trace, snapshot = trip_in_mid_move(tmp_path, disk=exhaust)
     assert trace == undisturbed
     assert snapshot["trip"]["file"] is None
-    assert "no memory is left" in snapshot["trip"]["file_error"]
+    assert "out of memory" in snapshot["trip"]["file_error"]
     assert list(tmp_path.iterdir()) == []
 
 

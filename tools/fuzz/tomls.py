@@ -32,10 +32,10 @@ SLOW_S = 5.0
 """Time at which a configuration counts as one that hangs."""
 
 _WHOLE_FILE = (
-    "there is no setting in this file",
+    "there are no settings in this file",
     "is larger than",
     "nested too deeply",
-    " more; is this a configuration",
+    " more; check that this is a configuration",
 )
 """What is said of a whole file, where there is no key or line to name."""
 

@@ -137,7 +137,7 @@ class NumbersByName(Plain):
         if not value:
             return [f"{name}: should name at least 1 axis"]
         if len(value) > self.most:
-            return [f"{name}: {len(value)} axes, and {self.most} are the most"]
+            return [f"{name}: {len(value)} axes, but at most {self.most} are allowed"]
         low, high = -math.inf if self.number.minimum is None else self.number.minimum, self.number.maximum
         needed = f"a finite number from {_in_short(low)} to {_in_short(high)} is needed"
         return [

@@ -19,7 +19,7 @@ _ROOT: Final = 0
 _MOST_LINKS: Final = 40
 """As many symbolic links as the kernel follows on one way."""
 _INITIAL_NAMESPACE: Final = [b"0", b"0", b"4294967295"]
-_UNSENT: Final = "Nothing was sent. Look who made it, and name the service's socket with --socket"
+_UNSENT: Final = "Nothing was sent. Find out who made it, and name the service's socket with --socket"
 
 
 class UntrustedSocketError(PermissionError):

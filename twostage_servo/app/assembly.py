@@ -17,7 +17,7 @@ from twostage_servo.drives.protocol_error import ProtocolError
 from twostage_servo.drives.registry import DRIVES
 from twostage_servo.service.settings import ServiceSettings
 
-_RESTART = "has changed: only a restart of the service can follow that"
+_RESTART = "has changed: restart the service to apply that"
 
 _designed = functools.lru_cache(maxsize=8)(design_axis)
 """The same settings give the same design, which nothing changes: a campaign builds hundreds of services from them."""
@@ -68,7 +68,7 @@ def _check_effort(loaded: LoadedConfig[Config], traits: DriveTraits) -> None:
         raise loaded.problem(
             ("axis", "effort_unit"),
             f"the drive's command signal is in {traits.effort_unit!r}; set axis.effort_unit to that, and give plant "
-            "and limits in it",
+            "and limits in that unit",
         )
     if config.axis.limits.effort > traits.effort_limit:
         raise loaded.problem(
@@ -105,10 +105,10 @@ def _check_encoder(loaded: LoadedConfig[Config], traits: DriveTraits, tick_s: fl
     if 0.0 < half <= min(travel, gone):
         raise loaded.problem(
             ("axis", "limits", "stale_feedback_ms"),
-            f"in {limits.stale_feedback_ms:g} ms without feedback, and {missed_ms:g} ms of limits.missed_ticks, the "
-            f"axis can go {gone:g} {unit} (limits.overspeed), which is not less than half of the "
-            f"{traits.position_period:g} {unit} after which its encoder comes round to the same count: allow less "
-            f"than {1e3 * half / limits.overspeed:.4g} ms for both",
+            f"in {limits.stale_feedback_ms:g} ms without feedback plus {missed_ms:g} ms of limits.missed_ticks the "
+            f"axis can move {gone:g} {unit} (limits.overspeed), which is not less than half of the "
+            f"{traits.position_period:g} {unit} after which its encoder wraps: allow less "
+            f"than {1e3 * half / limits.overspeed:.4g} ms for both together",
         )
 
 

@@ -237,7 +237,7 @@ def _build_link(
             if identifier.identifier in owners:
                 raise loaded.problem(
                     ("protocol",),
-                    f"{owners[identifier.identifier]} uses identifier {identifier} on this bus as well: give each "
+                    f"{owners[identifier.identifier]} also uses identifier {identifier} on this bus: give each "
                     "drive its own (protocol.identifier_offset, or another DBC)",
                 )
             owners[identifier.identifier] = f"axis {axis.settings.name} ({loaded.source})"

@@ -116,7 +116,7 @@ async def _serve(
     try:
         await control.start()
     except OSError as error:
-        raise StartError("socket", f"the control socket cannot be made at {path}: {error}", is_usage=True) from error
+        raise StartError("socket", f"the control socket cannot be created at {path}: {error}", is_usage=True) from error
     notifier.ready()
     structlog.get_logger().info("listening", socket=str(path), config=parts.machine.source, axes=parts.names)
     try:

@@ -33,5 +33,5 @@ def threads() -> Iterator[None]:
     try:
         yield
     except RuntimeError as error:
-        text = f"the service cannot start: {error}. Look who has all threads and memory (`ulimit -u`, TasksMax=)"
+        text = f"the service cannot start: {error}. Find what uses up threads or memory (`ulimit -u`, TasksMax=)"
         raise StartError("no_thread", text, is_usage=False) from error

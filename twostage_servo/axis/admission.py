@@ -58,7 +58,7 @@ class Admission:
                 (
                     f"the axis stands at {position:.6g} {unit}, more than {limits.position_overrun:g} {unit} outside "
                     f"its limits {limits.position_minimum:g} to {limits.position_maximum:g}: move "
-                    "it back by hand first; or, if it does not stand there, tell where it does: `home --here POSITION`."
+                    "it back by hand first; or, if it is not there, set its true position: `home --here POSITION`."
                 ),
             )
         return None
@@ -72,7 +72,7 @@ class Admission:
         if state is State.DISARMED and event in {Event.STOP, Event.QUICK_STOP}:
             raise Refused(
                 RefusalCode.DISARMED,
-                "the axis is disarmed: its drive is told to be disabled, so there is nothing to stop.",
+                "the axis is disarmed and its drive was told to disable, so there is nothing to stop.",
             )
         if state is State.DISARMED:
             raise Refused(RefusalCode.DISARMED, "the axis is disarmed: `arm` it first.")
@@ -139,7 +139,7 @@ class Admission:
             raise Refused(RefusalCode.BUSY, "it is not known yet whether the axis is at rest: ask again.")
         if abs(velocity) > rest_velocity:
             raise Refused(
-                RefusalCode.BUSY, f"the axis moves at {velocity:.4g} {self._unit}/s: its place can be set only at rest."
+                RefusalCode.BUSY, f"the axis moves at {velocity:.4g} {self._unit}/s: set its position only at rest."
             )
 
 

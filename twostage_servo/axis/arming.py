@@ -56,11 +56,11 @@ class Obstacles:
     def first(self) -> Obstacle | None:
         """Return code and text of what is in the way, or None."""
         if self._disabled_ticks < _DISABLED_TICKS:
-            return RefusalCode.STILL_ENABLED, "the drive is only just being disabled: ask again."
+            return RefusalCode.STILL_ENABLED, "the drive is still being disabled: ask again."
         if self._count.known.awaits_proof and not self._drive.is_stale:
             return (
                 RefusalCode.HEARTBEAT_LOST,
-                "no heartbeat has come since the drive was silent, to say whether it has rebooted: ask again.",
+                "the drive was silent, and no heartbeat has come since to show whether it rebooted: ask again.",
             )
         return self._admission.obstacle_to_arming(referenced=self._reference.source is not None)
 
@@ -122,9 +122,9 @@ class Arming:
             self._hold()
         elif self._ticks > self._ticks_allowed:
             if self._drive.enabled is False:
-                missing = "the drive has not reported that it is enabled"
+                missing = "the drive did not report that it is enabled"
             else:
-                missing = "two fresh samples in a row, without a missed tick between, have not come to tell the speed"
+                missing = "the speed is unknown, because no two consecutive fresh samples came without a missed tick"
             self._latch.raise_trip(TripCode.DRIVE_NOT_ENABLED, f"{missing} within {self._timeout_ms:g} ms of arming")
 
     def _hold(self) -> None:

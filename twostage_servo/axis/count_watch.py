@@ -151,9 +151,9 @@ class CountWatch:
             known.awaits_proof = True
             return None
         return (
-            f"no feedback has come for {self._ms(known.silent_ticks)} ms, more than the {self._ms(self._long_silence)} "
-            "ms of axis.limits.stale_feedback_ms and missed_ticks; the drive "
-            "has no boot counter that would prove that it was not switched off meanwhile and counts anew"
+            f"no feedback came for {self._ms(known.silent_ticks)} ms, more than the {self._ms(self._long_silence)} ms "
+            "of axis.limits.stale_feedback_ms plus missed_ticks: the drive may have been switched off and on and have "
+            "lost its count, and has no boot counter to prove otherwise"
         )
 
     def _check_count(self, position: float, *, homed: bool) -> str | None:
@@ -164,7 +164,7 @@ class CountWatch:
         unseen_s = (known.ticks + _JITTER_TICKS) * self._design.period_s
         allowed, by = unseen_s * self._design.settings.limits.overspeed, "axis.limits.overspeed allows"
         if homed and known.longest_silence > self._long_silence and known.speed * known.range_s < allowed:
-            allowed, by = known.speed * known.range_s, "an axis does that comes to rest by itself"
+            allowed, by = known.speed * known.range_s, "a coasting axis can move"
         allowed += self._tolerance
         known.beyond = known.beyond + 1 if abs(moved) > allowed else 0
         if known.beyond < _SAMPLES_BEYOND:
@@ -172,9 +172,9 @@ class CountWatch:
         known.beyond = 0
         unit = self._design.settings.unit
         return (
-            f"what the encoder counts has moved by {moved:+.4g} {unit} within {self._ms(known.ticks)} ms, the longest "
-            f"silence in which was {self._ms(known.longest_silence)} ms; that is more than the {allowed:.4g} {unit} "
-            f"that {by}: the drive may have been switched off and counts anew, or the axis was moved unseen"
+            f"the encoder's count moved by {moved:+.4g} {unit} within {self._ms(known.ticks)} ms (longest silence: "
+            f"{self._ms(known.longest_silence)} ms), more than the {allowed:.4g} {unit} that {by}: the drive may have "
+            "been switched off and on and have lost its count, or the axis was moved unobserved"
         )
 
     def _believe(self, position: float, speed: float, *, driven: bool) -> None:

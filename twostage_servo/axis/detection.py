@@ -112,10 +112,10 @@ def check_detection(design: AxisDesign) -> None:
     noise = design.noise.measurement_variance**0.5
     raise DesignError(
         ("axis", "limits", "position_overrun"),
-        f"an encoder that is {worst.change} while the axis is {worst.phase} at {worst.velocity:g} {unit}/s would be "
-        f"detected only after {how_far}, and {allowed:.4g} {unit} is allowed. It is hidden by the noise that the axis "
-        f"is set up for, {noise:.3g} {unit} (root of axis.observer.measurement_variance), and by "
-        f"axis.limits.innovation_time_ms = {design.settings.limits.innovation_time_ms:g}: lower them to their true "
+        f"a change of the encoder ({worst.change}) while the axis is {worst.phase} at {worst.velocity:g} {unit}/s "
+        f"would be detected only after {how_far}, and {allowed:.4g} {unit} is allowed. The change is hidden by the "
+        f"configured noise, {noise:.3g} {unit} (root of axis.observer.measurement_variance), and by "
+        f"axis.limits.innovation_time_ms = {design.settings.limits.innovation_time_ms:g}: lower both to their true "
         f"values, {_remedy(worst, design.period_s)}",
     )
 
@@ -126,8 +126,8 @@ def _remedy(worst: Detection, period_s: float) -> str:
         return "lower the velocity, or state the distance that is acceptable as axis.limits.undetected_travel"
     step = abs(CHANGES[worst.change] - 1.0) * worst.velocity * period_s
     return (
-        f"or axis.limits.innovation_gate below the {step:.3g} that such an encoder shows too little or too much in a "
-        "tick; no distance can be stated here"
+        f"or set axis.limits.innovation_gate below {step:.3g}, the error of such an encoder in one tick; no distance "
+        "can be stated here"
     )
 
 

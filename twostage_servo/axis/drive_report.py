@@ -248,7 +248,7 @@ class DriveReport:
         """Yield code and cause of what must trip an enabled axis."""
         limits = self._settings.limits
         if self.safe_torque_off:
-            yield TripCode.SAFE_TORQUE_OFF, "the drive reports that its safe torque off has been asked for"
+            yield TripCode.SAFE_TORQUE_OFF, "the drive reports that safe torque off is active"
         if self.fault_code is not None:
             yield TripCode.DRIVE_FAULT, f"the drive reports {self._fault_text()}"
         if self.enabled is False and not arming:
@@ -267,7 +267,7 @@ class DriveReport:
             yield (
                 TripCode.FEEDBACK_ERRORS,
                 (
-                    f"{errors} feedback frames were lost, corrupted, repeated, overtaken or implausible in the last "
+                    f"{errors} feedback frames were lost, corrupted, repeated, out of order or implausible in the last "
                     f"{WINDOW_TICKS} ticks; axis.limits.feedback_errors is {limits.feedback_errors}"
                 ),
             )
@@ -286,7 +286,7 @@ class DriveReport:
             text = f"another node on the bus commands this drive: {self.foreign}. End the other service or tool first."
             return RefusalCode.FOREIGN_COMMAND, text
         if self.enabled is True:
-            return RefusalCode.STILL_ENABLED, "the drive has not been disabled yet: ask again."
+            return RefusalCode.STILL_ENABLED, "the drive is not disabled yet: ask again."
         if self.heartbeat.is_awaited:
             return (
                 RefusalCode.HEARTBEAT_LOST,
@@ -306,8 +306,8 @@ class DriveReport:
         if self.backlog is not None:
             reads, frames = self.backlog
             return (
-                f"; the bus brings frames faster than they are read: {reads} reads in a row came behind one that ended "
-                f"at {frames} frames (bus.max_frames_per_tick), so that the {late} feedback frames in them are of no "
-                "known age"
+                f"; frames arrive faster than they are read: the last {reads} reads began with a backlog, after one "
+                f"that stopped at {frames} frames (bus.max_frames_per_tick), so the age of the {late} feedback frames "
+                "in them is unknown"
             )
-        return f"; {late} feedback frames have come too late to count" if late else ""
+        return f"; {late} feedback frames arrived too late to count" if late else ""

@@ -173,7 +173,7 @@ class DriveStateComparison:
         fault = {True: " with a fault", False: " without a fault", None: ""}[faulted]
         return (
             f"for {known.first_ticks_ago * self._period_ms:g} ms the drive's heartbeat has said {known.claim.text!r}, "
-            f"and its feedback {told}{fault}"
+            f"but its feedback has said {told}{fault}"
         )
 
 

@@ -64,7 +64,7 @@ class DriveWatch:
         """Accept one decoded feedback frame; the newest of a tick counts."""
         if not self._drive.accept_feedback(feedback, reception, driven=self._machine.state in DRIVEN):
             self._reference.lose(
-                "the axis was not seen for so long that it may have gone half of the range in which its encoder counts"
+                "no feedback came for so long that the axis may have moved half of its encoder's counting range"
             )
 
     def record_heartbeat(
@@ -72,10 +72,10 @@ class DriveWatch:
     ) -> None:
         """Record a heartbeat with its count of the drive's boots; a drive that has rebooted has lost its position."""
         if self._drive.record_heartbeat(boot_counter, state, late=late):
-            self._reference.lose("the drive has rebooted, and its encoder starts to count anew")
+            self._reference.lose("the drive has rebooted, and its encoder has restarted its count")
             self._count.restart()
             self._disabled.motion.begin(0.0)
-            self._latch.raise_trip(TripCode.DRIVE_REBOOTED, "the drive has rebooted while it was enabled")
+            self._latch.raise_trip(TripCode.DRIVE_REBOOTED, "the drive rebooted while it was enabled")
         elif boot_counter is not None and not late:
             self._count.confirm_count()
 

@@ -71,7 +71,7 @@ class DrivenStep:
             self._drive.monitor.doubt()
         if not motion.finite:
             self._latch.raise_trip(
-                TripCode.NOT_FINITE, f"the law gives effort {effort} at position {law.observer.position:g}"
+                TripCode.NOT_FINITE, f"the law computed an effort of {effort} at position {law.observer.position:g}"
             )
             motion.lose_track()
             return NO_EFFORT
@@ -114,7 +114,7 @@ class DrivenStep:
             self._latch.raise_trip(
                 TripCode.LIMIT_SWITCH,
                 f"the {switch} limit switch is active at {estimate.position:.6g} {unit}, and "
-                f"the axis moves towards it, at {velocity:.4g} {unit}/s",
+                f"the axis moves towards it at {velocity:.4g} {unit}/s",
             )
 
     def _check_window(self) -> None:

@@ -74,6 +74,6 @@ class Hazards:
         foreign = self._drive.foreign
         told_by = f"; another node on the bus has commanded it: {foreign}" if foreign.came_within(watch.told_ms) else ""
         return (
-            f"the drive reports that it is enabled, for {watch.enabled_ms:g} ms of the {watch.told_ms:g} ms since it "
-            f"was told to disable{moved}{told_by}; axis.arming_timeout_ms is {self._settings.arming_timeout_ms:g}"
+            f"the drive was told to disable {watch.told_ms:g} ms ago, and has since reported for {watch.enabled_ms:g} "
+            f"ms that it is enabled{moved}{told_by}; axis.arming_timeout_ms is {self._settings.arming_timeout_ms:g}"
         )

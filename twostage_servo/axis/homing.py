@@ -109,8 +109,8 @@ class Homing:
                 self._seek()
             case _Phase.STOP_BEYOND if at_rest and not self._drive.home_switch:
                 raise HomingFailed(
-                    "the home switch is not active where the axis came to rest: it was passed, or has only flickered; "
-                    f"lower axis.homing.velocity, which is {self._settings.velocity:g} {self._unit}/s"
+                    "the home switch is not active where the axis came to rest: the axis overran it, or it only "
+                    f"flickered; lower axis.homing.velocity, now {self._settings.velocity:g} {self._unit}/s"
                 )
             case _Phase.STOP_BEYOND if at_rest:
                 self._phase = _Phase.BACK_OFF
@@ -148,8 +148,8 @@ class Homing:
         if not min(self._start, place) - allowed <= mark <= max(self._start, place) + allowed:
             raise HomingFailed(
                 f"the drive reports an index mark at {mark:.6g} {unit}, where the axis has not been: the search "
-                f"went from {self._start:.6g} to {place:.6g} {unit}. See that the index message counts on the scale of "
-                "the feedback, and that no other node sends it"
+                f"went from {self._start:.6g} to {place:.6g} {unit}. Check that the index message has the scale of the "
+                "feedback, and that no other node sends it"
             )
 
     def _has_left(self) -> bool:

@@ -19,10 +19,10 @@ class LawSettings(Settings):
     """Which law drives the axis, with a table for the keys of each."""
 
     type: str = Field(
-        PAPER, description="Name of the law; its keys stand in the table axis.law.<type>", min_length=1, max_length=64
+        PAPER, description="Name of the law; its keys are in the table axis.law.<type>", min_length=1, max_length=64
     )
     performance_index_ratio: float | None = quantity(
-        None, unit="1", description="Older place of axis.law.paper.performance_index_ratio", ge=1e-12, le=1e6
+        None, unit="1", description="Former place of axis.law.paper.performance_index_ratio", ge=1e-12, le=1e6
     )
     paper: PaperSettings = Field(PaperSettings(), description="The two-stage law of the paper")
 
@@ -44,7 +44,7 @@ class LawSettings(Settings):
         if ratio is None:
             return self
         if "performance_index_ratio" in self.paper.model_fields_set:
-            text = "stands in axis.law and in axis.law.paper: remove one of the two"
+            text = "is set in axis.law and in axis.law.paper: remove one of the two"
             twice = PydanticCustomError("value_error", "twice", {"error": text})
             keys = ("performance_index_ratio",), ("paper", "performance_index_ratio")
             raise ValidationError.from_exception_data(

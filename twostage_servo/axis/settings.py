@@ -17,7 +17,7 @@ class PlantSettings(Settings):
 
     gain: float = quantity(
         unit="axis unit/s²/effort unit",
-        description="Acceleration per effort at standstill; negative for a drive mounted the other way round",
+        description="Acceleration per effort at standstill; negative if the drive is mounted in reverse",
         ge=-1e9,
         le=1e9,
     )
@@ -34,13 +34,13 @@ class ObserverSettings(Settings):
     """What the Kalman disturbance observer assumes of disturbance and noise."""
 
     position_variance: float = quantity(
-        0.1, unit="(axis unit)²", description="Process variance of the position, a tick", ge=0.0, le=1e9
+        0.1, unit="(axis unit)²", description="Process variance of the position per tick", ge=0.0, le=1e9
     )
     velocity_variance: float = quantity(
-        0.1, unit="(axis unit/s)²", description="Process variance of the velocity, a tick", ge=0.0, le=1e9
+        0.1, unit="(axis unit/s)²", description="Process variance of the velocity per tick", ge=0.0, le=1e9
     )
     disturbance_variance: float = quantity(
-        0.1, unit="(effort unit)²", description="Process variance of the disturbance, a tick", ge=1e-12, le=1e9
+        0.1, unit="(effort unit)²", description="Process variance of the disturbance per tick", ge=1e-12, le=1e9
     )
     measurement_variance: float = quantity(
         0.01, unit="(axis unit)²", description="Variance of the measured position (R_o)", ge=1e-12, le=1e9
@@ -63,14 +63,14 @@ class LimitSettings(Settings):
     position_maximum: float = quantity(unit="axis unit", description="Highest set-point accepted", ge=-1e9, le=1e9)
     position_overrun: float = quantity(
         unit="axis unit",
-        description="Distance past the lowest or highest set-point in which the axis must come to rest, or it trips",
+        description="Distance beyond the position limits within which the axis must come to rest, or it trips",
         gt=0.0,
         le=1e9,
     )
     undetected_travel: float | None = quantity(
         None,
         unit="axis unit",
-        description="Distance that the axis may go until a turned or rescaled encoder is certain; without it: "
+        description="Distance that the axis may move until a reversed or rescaled encoder is detected; if absent, "
         "position_overrun",
         gt=0.0,
         le=1e9,
@@ -90,7 +90,7 @@ class LimitSettings(Settings):
     )
     effort: float = quantity(unit="effort unit", description="Largest magnitude of the effort", gt=0.0, le=1e9)
     effort_rate: float = quantity(
-        unit="effort unit/s", description="Largest slope of the effort, but for disabling", gt=0.0, le=1e12
+        unit="effort unit/s", description="Largest slope of the effort, except when disabling", gt=0.0, le=1e12
     )
     effort_saturation_ms: float = quantity(
         unit="ms", description="Time at the effort limit after which the axis trips", gt=0.0, le=60_000.0
@@ -100,7 +100,7 @@ class LimitSettings(Settings):
     )
     following_error_time_s: float = quantity(
         unit="s",
-        description="Following error allowed for each axis unit/s of the move's speed, where more",
+        description="Following error allowed per axis unit/s of the move's speed, if that is more",
         ge=0.0,
         le=60.0,
     )
@@ -113,13 +113,13 @@ class LimitSettings(Settings):
     )
     innovation_time_ms: float = quantity(
         unit="ms",
-        description="Width added to the innovation gate for each axis unit/s of speed: error of the sampling instant",
+        description="Width added to the innovation gate per axis unit/s of speed: error of the sampling instant",
         ge=0.0,
         le=100.0,
     )
     stall_effort: float = quantity(
         unit="effort unit",
-        description="Effort, or change of effort, at which an axis without motion has stalled; more than its friction",
+        description="Effort, or change of effort, at which an axis without motion has stalled; must exceed friction",
         gt=0.0,
         le=1e9,
     )
@@ -131,19 +131,19 @@ class LimitSettings(Settings):
     )
     feedback_errors: int = quantity(
         unit="frames",
-        description="Frames lost, corrupted, repeated, overtaken or implausible in the last 100 ticks, at which an "
-        "armed axis trips",
+        description="Number of frames lost, corrupted, repeated, out of order or implausible in the last 100 ticks at "
+        "which an armed axis trips",
         ge=1,
         le=100,
     )
     heartbeat_ms: float = quantity(
         unit="ms",
-        description="Time without the drive's heartbeat after which an armed axis trips, where the drive has one",
+        description="Time without the drive's heartbeat after which an armed axis trips, if the drive has one",
         gt=0.0,
         le=60_000.0,
     )
     missed_ticks: int = quantity(
-        unit="ticks", description="Ticks missed in one go after which an armed axis trips", ge=0, le=1000
+        unit="ticks", description="Ticks missed in a row after which an armed axis trips", ge=0, le=1000
     )
 
     @model_validator(mode="after")
@@ -151,7 +151,7 @@ class LimitSettings(Settings):
         if self.position_minimum >= self.position_maximum:
             raise ValueError(
                 f"position_minimum = {exact(self.position_minimum)} is not below position_maximum = "
-                f"{exact(self.position_maximum)}; exchange or correct them"
+                f"{exact(self.position_maximum)}; swap or correct them"
             )
         if self.quick_stop_deceleration < self.acceleration:
             raise ValueError(
@@ -206,17 +206,17 @@ class HomingSettings(Settings):
         5.0, unit="effort unit", description="Largest effort in the search for a hard stop", gt=0.0, le=1e9
     )
     stop_time_ms: float = quantity(
-        200.0, unit="ms", description="Standstill at that effort that counts as the hard stop", gt=0.0, le=60_000.0
+        200.0, unit="ms", description="Standstill with that effort that counts as the hard stop", gt=0.0, le=60_000.0
     )
     back_off: float = quantity(
         0.0,
         unit="axis unit",
-        description="Distance that the axis then backs off; more than the hard stop yields. 0: 20 position windows",
+        description="Distance that the axis then backs off; must exceed what the stop yields. 0: 20 position windows",
         ge=0.0,
         le=1e9,
     )
     travel: float = quantity(
-        1000.0, unit="axis unit", description="Distance after which the search has failed", gt=0.0, le=1e9
+        1000.0, unit="axis unit", description="Distance after which the search fails", gt=0.0, le=1e9
     )
 
 
@@ -229,7 +229,7 @@ class ApproachSettings(Settings):
     distance: float = quantity(
         1.0,
         unit="axis unit",
-        description="How far a move from the other side goes past its set-point first",
+        description="Distance by which a move from the other side first overshoots its set-point",
         gt=0,
         le=1e9,
     )
@@ -244,7 +244,7 @@ class AxisSettings(Settings):
     unit: str = Field(description="Unit of position, such as mm or deg", min_length=1, max_length=16)
     effort_unit: str = Field(description="Unit of the effort, such as V, A or %", min_length=1, max_length=16)
     cruise_velocity: float = quantity(
-        unit="axis unit/s", description="Velocity of a set-point that has none of its own", gt=0.0, le=1e9
+        unit="axis unit/s", description="Velocity of a set-point that does not give one", gt=0.0, le=1e9
     )
     arming_timeout_ms: float = quantity(
         500.0, unit="ms", description="Time that the drive may take to report that it is enabled", gt=0.0, le=60_000.0

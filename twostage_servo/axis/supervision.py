@@ -164,9 +164,9 @@ class Supervision:
             yield (
                 TripCode.POSITION_JUMP,
                 (
-                    f"{motion.implausible} measured positions in a row lie up to {motion.implausible_distance:+.4g} "
-                    f"{unit} from their prediction, at {motion.law.observer.position:.6g} {unit} and "
-                    f"{motion.law.observer.velocity:.4g} {unit}/s: the encoder jumped, stands still or counts wrongly; "
+                    f"{motion.implausible} consecutive measured positions differ from their prediction by up to "
+                    f"{motion.implausible_distance:+.4g} {unit}, at {motion.law.observer.position:.6g} {unit} and "
+                    f"{motion.law.observer.velocity:.4g} {unit}/s: the encoder jumped, froze or counts wrongly; "
                     f"{motion.innovation_gate:.3g} {unit} is allowed (axis.limits.innovation_gate)"
                 ),
             )
@@ -184,10 +184,10 @@ class Supervision:
             yield (
                 TripCode.POSITION_LIMIT,
                 (
-                    f"the axis is at {position:.6g} {unit} with {velocity:.4g} {unit}/s and needs "
+                    f"the axis is at {position:.6g} {unit}, moves at {velocity:.4g} {unit}/s and needs "
                     f"{abs(ahead):.4g} {unit} "
-                    f"to stop; its limits are {limits.position_minimum:g} and "
-                    f"{limits.position_maximum:g} {unit} with an "
+                    f"to stop; its limits are {limits.position_minimum:g} to "
+                    f"{limits.position_maximum:g} {unit}, with an "
                     f"overrun of {limits.position_overrun:g} {unit}"
                 ),
             )
@@ -206,9 +206,9 @@ class Supervision:
             yield (
                 TripCode.STALL,
                 (
-                    f"the axis has stood still at {law.observer.position:.6g} {unit} for "
-                    f"{limits.stall_time_ms:g} ms though "
-                    f"the effort is {law.effort:.4g} {effort_unit}, and was {self._effort_before:.4g} before; "
+                    f"the axis has not moved from {law.observer.position:.6g} {unit} for "
+                    f"{limits.stall_time_ms:g} ms, although the effort has changed from "
+                    f"{self._effort_before:.4g} to {law.effort:.4g} {effort_unit}; "
                     f"axis.limits.stall_effort is {limits.stall_effort:g}"
                 ),
             )
@@ -225,7 +225,7 @@ class Supervision:
             yield (
                 TripCode.STALL,
                 (
-                    f"the encoder has shown the same position, {motion.law.observer.position:.6g} {unit}, "
+                    f"the encoder has reported the same position, {motion.law.observer.position:.6g} {unit}, "
                     f"while the effort changed by {motion.unchanged_effort:.4g} {effort_unit}; "
                     f"axis.limits.stall_effort is {limits.stall_effort:g}"
                 ),
@@ -237,17 +237,17 @@ class Supervision:
         factor = test.better_factor
         if factor is None or (seeks_a_stop and 0.0 <= factor < 1.0):
             return
-        surprise = f"what the model and plants like it expect is off by {test.surprise:.3g} {unit} of late"
+        surprise = f"the model and plants like it have recently been off by {test.surprise:.3g} {unit}"
         if factor == 0.0:
             at = f"{self._motion.law.observer.position:.6g} {unit}"
-            yield TripCode.STALL, f"from one sample to the next the encoder has come to stand at {at}: {surprise}"
+            yield TripCode.STALL, f"the encoder froze at {at} from one sample to the next: {surprise}"
             return
         what = "the sign" if factor < 0.0 else "the scale"
         yield (
             TripCode.SIGN_REVERSED if factor < 0.0 else TripCode.MODEL_MISMATCH,
             (
-                f"{factor:g} times the motion that the model expects explains the samples far better: {surprise}; "
-                f"{what} of encoder or effort is wrong, or [axis.plant] is"
+                f"{factor:g} times the motion that the model predicts fits the samples far better: {surprise}; "
+                f"{what} of encoder or effort is wrong, or [axis.plant]"
             ),
         )
 
@@ -260,8 +260,8 @@ class Supervision:
             yield (
                 TripCode.FOLLOWING_ERROR,
                 (
-                    f"at {self._motion.law.observer.position:.6g} {unit} the axis is {error:.4g} {unit} from where it "
-                    f"is designed to be; {allowed:.4g} {unit} is allowed in a move at "
+                    f"the following error at {self._motion.law.observer.position:.6g} {unit} is {error:.4g} {unit}; "
+                    f"{allowed:.4g} {unit} is allowed in a move at "
                     f"{self._speed_of_move:.4g} {unit}/s"
                 ),
             )
@@ -272,14 +272,15 @@ class Supervision:
         if self._ticks_saturated >= self._saturation_ticks:
             in_speed = law.stage is Stage.SPEED
             what = (
-                f"{law.cruise_velocity:.4g} {self._settings.unit}/s can't be reached"
+                f"{law.cruise_velocity:.4g} {self._settings.unit}/s cannot be reached"
                 if in_speed
-                else "a load, or an obstacle"
+                else "look for a load or an obstacle"
             )
             yield (
                 TripCode.SPEED_UNREACHABLE if in_speed else TripCode.EFFORT_SATURATED,
                 (
-                    f"the effort has stood at its limit of {limits.effort:g} {self._settings.effort_unit} for "
-                    f"{limits.effort_saturation_ms:g} ms at {law.observer.velocity:.4g} {self._settings.unit}/s: {what}"
+                    f"the effort has been at its limit of {limits.effort:g} {self._settings.effort_unit} for "
+                    f"{limits.effort_saturation_ms:g} ms, "
+                    f"at {law.observer.velocity:.4g} {self._settings.unit}/s: {what}"
                 ),
             )

@@ -83,7 +83,7 @@ class AxisTick:
         if driven and missed > self._settings.limits.missed_ticks:
             self._latch.raise_trip(
                 TripCode.MISSED_TICKS,
-                f"{missed} ticks of {1e3 * self._design.period_s:g} ms were missed in one go; "
+                f"{missed} ticks of {1e3 * self._design.period_s:g} ms were missed in a row; "
                 f"axis.limits.missed_ticks is {self._settings.limits.missed_ticks}",
             )
 

@@ -100,21 +100,22 @@ _QUICK, _DISABLE = Reaction.QUICK_STOP, Reaction.DISABLE
 RULES: dict[TripCode, TripRule] = {
     TripCode.STALE_FEEDBACK: TripRule(
         _QUICK,
-        "Check the drive's supply, its bus cable and its identifiers; if the cause speaks of late frames, find what "
-        "floods the bus. Then `reset` and `arm`, and `home` where `status` says that the position is no longer known.",
+        "Check the drive's supply, its bus cable and its identifiers; if the cause mentions late frames, find the "
+        "node that floods the bus. Then `reset` and `arm`, and `home` if `status` says that the position is not known.",
         blind=True,
     ),
     TripCode.FEEDBACK_ERRORS: TripRule(
         _QUICK,
-        "If `frames` in `status` counts `implausible` samples, check the encoder and axis.limits.innovation_gate; else "
-        "look for a bad cable, a missing termination or a second node with this identifier. Then `reset` and `arm`.",
+        "If `frames` in `status` counts `implausible` samples, check the encoder and axis.limits.innovation_gate; "
+        "otherwise look for a bad cable, a missing termination or a second node with this identifier. Then `reset` and "
+        "`arm`.",
         blind=True,
     ),
     TripCode.POSITION_JUMP: TripRule(
         _QUICK,
         "Check encoder and coupling; then `reset`, `arm` and `home`: the position is no longer known.",
         blind=True,
-        position_in_doubt="the encoder may have lost counts, or gained some",
+        position_in_doubt="the encoder may have lost or gained counts",
     ),
     TripCode.MODEL_MISMATCH: TripRule(
         _QUICK,
@@ -132,10 +133,10 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.STALL: TripRule(
         _QUICK,
-        "Find what holds the axis, or the encoder that stands still; then `reset`, `arm` and `home`: the axis may "
-        "have moved unseen.",
+        "Find what blocks the axis, or why the encoder is frozen; then `reset`, `arm` and `home`: the axis may have "
+        "moved undetected.",
         reckoned=True,
-        position_in_doubt="an encoder that stands still looks like an axis that does",
+        position_in_doubt="a frozen encoder looks like an axis at standstill",
     ),
     TripCode.SPEED_UNREACHABLE: TripRule(
         Reaction.CONTROLLED_STOP,
@@ -161,11 +162,11 @@ RULES: dict[TripCode, TripRule] = {
         _DISABLE,
         "Check the encoder's sign and scale and the plant model; then `reset`, `arm`, and `home`: either the axis was "
         "too fast, or its encoder is wrong.",
-        position_in_doubt="a speed that the axis should not reach may be the encoder's",
+        position_in_doubt="the excessive speed may be an error of the encoder",
     ),
     TripCode.MISSED_TICKS: TripRule(
         _QUICK,
-        "Look for what kept the processor from this service (load, swapping, a suspension), then `reset` and `arm`.",
+        "Find what kept this service from running (load, swapping, a suspended host), then `reset` and `arm`.",
     ),
     TripCode.NOT_FINITE: TripRule(
         _DISABLE,
@@ -173,7 +174,8 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.BRAKING_FAILED: TripRule(
         _DISABLE,
-        "It did not slow down as its model says: check that the drive follows the effort, then `reset` and `arm`.",
+        "The axis did not slow down as its model predicts: check that the drive follows the effort, then `reset` and "
+        "`arm`.",
     ),
     TripCode.HOMING_FAILED: TripRule(
         _QUICK,
@@ -190,12 +192,12 @@ RULES: dict[TripCode, TripRule] = {
     TripCode.DRIVE_NOT_ENABLED: TripRule(
         _DISABLE,
         "If the drive did not follow the enable bit, check its fault code and safety inputs; if samples were missing, "
-        "its bus, and the host with `twostage-servo doctor`. Then `reset` and `arm`.",
+        "check its bus, and the host with `twostage-servo doctor`. Then `reset` and `arm`.",
     ),
     TripCode.DRIVE_NOT_DISABLED: TripRule(
         _DISABLE,
-        "Switch the drive's power off, or its safe torque off on: it does not obey. Look for another controller, its "
-        "enable input, its mode and its fault; `reset` when it reports that it is disabled.",
+        "The drive does not obey: switch off its power, or activate safe torque off. Look for another controller, and "
+        "check the drive's enable input, mode and fault; `reset` when it reports that it is disabled.",
         while_disabled=True,
     ),
     TripCode.DRIVE_STATE_MISMATCH: TripRule(
@@ -216,26 +218,26 @@ RULES: dict[TripCode, TripRule] = {
     TripCode.HEARTBEAT_LOST: TripRule(
         _DISABLE,
         "The drive's firmware may hang: check its state, switch it off and on, then `reset` and `arm`, and `home` "
-        "where `status` says that the position is no longer known.",
+        "if `status` says that the position is not known.",
     ),
     TripCode.COMMANDS_DROPPED: TripRule(
         _QUICK,
-        "The bus does not accept our frames: look for a babbling node or a lost termination, then `reset` and `arm`.",
+        "The bus does not accept frames: look for a babbling node or a missing termination, then `reset` and `arm`.",
     ),
     TripCode.FOREIGN_COMMAND: TripRule(
         _DISABLE,
         "Keep away from the axis: another controller can move it. End the other service or tool that commands this "
-        "drive; after a trip, then `reset` and `arm`.",
+        "drive. After a trip, `reset` and `arm`.",
         while_disabled=True,
     ),
     TripCode.BUS_FAILED: TripRule(
         _DISABLE,
         "Restore the bus (interface, cable, its server); when `status` shows it open, `reset` and `arm`, "
-        "and `home` where it says that the position is no longer known.",
+        "and `home` if it says that the position is not known.",
     ),
     TripCode.INTERNAL_ERROR: TripRule(
         _QUICK,
-        "Report this with the traceback in the log; the service ends and has to be started again.",
+        "Report this with the traceback in the log. The service ends and has to be started again.",
     ),
 }
 
@@ -319,6 +321,6 @@ def trip_table() -> str:
         how += ", on the model alone" if rule.blind else ""
         how += ", on the model alone and from its own speed" if rule.reckoned else ""
         how += f"; the reference is lost: {rule.position_in_doubt}" if rule.unreferenced else ""
-        how += "; while disabled as well" if rule.while_disabled else ""
+        how += "; also while disabled" if rule.while_disabled else ""
         lines.append(f"| `{code}` | {how} | {rule.next_action} |")
     return "\n".join(lines)

@@ -69,12 +69,12 @@ def _unseen_travel(design: AxisDesign) -> Iterator[WeakLimit]:
     limits, unit, travel = settings.limits, settings.unit, _travel(design)
     allowed, speed = min(limits.position_overrun, travel), limits.velocity
     if limits.position_overrun > travel:
-        text = f"the position limits: past them the axis may go by more than its whole travel of {travel:g} {unit}"
+        text = f"the position limits: the axis may overrun them by more than its whole travel of {travel:g} {unit}"
         yield WeakLimit(
-            ("limits", "position_overrun"), limits.position_overrun, text, f"set what is free there, in {unit}"
+            ("limits", "position_overrun"), limits.position_overrun, text, f"set the free distance there, in {unit}"
         )
     if limits.undetected_travel is not None and limits.undetected_travel > travel:
-        text = f"the bound for an encoder that counts wrongly: it is more than the whole travel of {travel:g} {unit}"
+        text = f"the bound on travel with a wrong encoder: it exceeds the whole travel of {travel:g} {unit}"
         yield WeakLimit(("limits", "undetected_travel"), limits.undetected_travel, text, "remove it, or lower it")
     for name, duration_s in (
         ("missed_ticks", limits.missed_ticks * design.period_s),
@@ -101,7 +101,7 @@ def _unseen_travel(design: AxisDesign) -> Iterator[WeakLimit]:
                 getattr(limits, name),
                 f"the trip for an encoder that jumps: up to {gate:.4g} {unit} are accepted, more than the {allowed:g} "
                 f"{unit} in which the axis must come to rest past its limits",
-                "set a few times what a sample may be off",
+                "set a few times the usual error of a sample",
             )
 
 
@@ -110,7 +110,7 @@ def _times(design: AxisDesign, *, heartbeat: bool) -> Iterator[WeakLimit]:
     settings, limits = design.settings, design.settings.limits
     crossing_ms = 1e3 * _travel(design) / limits.velocity
     longest: dict[tuple[str, ...], str] = {
-        ("limits", "effort_saturation_ms"): "the trip for an effort that stands at its limit",
+        ("limits", "effort_saturation_ms"): "the trip for an effort that stays at its limit",
         ("limits", "stall_time_ms"): "the trip for a stall",
         ("arming_timeout_ms",): "the trip for a drive that does not disable",
         ("jog_timeout_ms",): "the end of a jog whose operator has disconnected",
@@ -124,14 +124,12 @@ def _times(design: AxisDesign, *, heartbeat: bool) -> Iterator[WeakLimit]:
         if value > crossing_ms:
             yield WeakLimit(key, value, f"{what}: {_CROSSED.format(crossing_ms)}", "lower it well below that")
     if min(crossing_ms, limits.effort_saturation_ms) < limits.stall_time_ms <= crossing_ms:
-        text = "the trip for a stall: effort_saturation_ms is shorter, so the axis pushes with all of its effort before"
+        text = "the trip for a stall: effort_saturation_ms is shorter, so the axis first trips at full effort"
         yield WeakLimit(("limits", "stall_time_ms"), limits.stall_time_ms, text, "lower it below effort_saturation_ms")
     stale_ticks = design.ticks(limits.stale_feedback_ms)
     most = WINDOW_TICKS * (stale_ticks - 1) / stale_ticks
     if most < limits.feedback_errors and stale_ticks > 1:
-        text = (
-            f"the trip for bad frames: with more than {most:.0f} in {WINDOW_TICKS} ticks the feedback is stale before"
-        )
+        text = f"the trip for bad frames: with more than {most:.0f} in {WINDOW_TICKS} ticks the feedback is stale first"
         yield WeakLimit(("limits", "feedback_errors"), limits.feedback_errors, text, f"lower it to {int(most)} at most")
 
 
@@ -151,7 +149,7 @@ def _stops(design: AxisDesign) -> Iterator[WeakLimit]:
             getattr(limits, key),
             f"{what}: from {limits.velocity:g} {unit}/s it takes {distance:.4g} {unit}, and the whole travel is "
             f"{2.0 * half:g} {unit}",
-            "raise it to what drive and machine bear",
+            "raise it to what drive and machine can take",
         )
         if slow_effort:
             return
@@ -166,8 +164,8 @@ def _motion(design: AxisDesign) -> Iterator[WeakLimit]:
         yield WeakLimit(
             ("limits", "overspeed"),
             limits.overspeed,
-            f"the trip for overspeed: with all of its effort the axis comes to {fastest:.4g} {unit}/s, and to "
-            f"{100.0 * MODEL_ERROR:.0f} % more where its plant is off its model",
+            f"the trip for overspeed: at full effort the axis reaches {fastest:.4g} {unit}/s, and "
+            f"{100.0 * MODEL_ERROR:.0f} % more if its plant is off its model",
             f"lower it; about {1.25 * limits.velocity:g} is usual",
         )
     for name, error in (
@@ -180,7 +178,7 @@ def _motion(design: AxisDesign) -> Iterator[WeakLimit]:
                 getattr(limits, name),
                 f"the trip for following error: {error:.4g} {unit} are allowed, and the whole travel is "
                 f"{travel:g} {unit}",
-                "set a few times what the axis needs in an ordinary move",
+                "set a few times the following error of an ordinary move",
             )
 
 
@@ -194,23 +192,21 @@ def _moves(design: AxisDesign, resolution: float) -> Iterator[WeakLimit]:
             f"the outcome `reached`: the position stage of a move begins {changeover:.4g} {unit} before the set-point, "
             "so it counts as reached immediately"
         )
-        yield WeakLimit(("window", "position"), window, text, "set the error with which the work can be done")
+        yield WeakLimit(("window", "position"), window, text, "set the largest error that your work tolerates")
     if window < 0.5 * resolution:
         text = f"the outcome `reached`: the encoder has steps of {resolution:g} {unit}, so few moves end in the window"
-        yield WeakLimit(("window", "position"), window, text, f"set {resolution:g} at least")
+        yield WeakLimit(("window", "position"), window, text, f"set at least {resolution:g}")
     approach, homing = settings.approach, settings.homing
     if approach.direction != "either" and approach.distance > _LARGE_SHARE * travel:
-        text = (
-            f"short ways: a move from the other side goes past its set-point first, and the travel is {travel:g} {unit}"
-        )
+        text = f"short moves: from the other side they first overshoot by it, and the whole travel is {travel:g} {unit}"
         yield WeakLimit(("approach", "distance"), approach.distance, text, "set a few times the backlash")
     if homing.method != "set_here" and homing.travel > 2.0 * (travel + settings.limits.position_overrun):
         text = f"the end of a search that finds nothing: the whole travel is {travel:g} {unit}"
-        yield WeakLimit(("homing", "travel"), homing.travel, text, "set what the search may go from anywhere")
+        yield WeakLimit(("homing", "travel"), homing.travel, text, "set the longest search that may be needed")
     slowest = slowest_velocity(design, resolution)
     for key in (("cruise_velocity",), ("homing", "velocity"), ("homing", "slow_velocity")):
         if _value(settings, key) < slowest:
-            text = f"motion: at less than {slowest:.3g} {unit}/s the axis does not go a step of its encoder in an hour"
+            text = f"motion: at less than {slowest:.3g} {unit}/s the axis does not move one encoder step in an hour"
             yield WeakLimit(key, _value(settings, key), text, "raise it")
 
 

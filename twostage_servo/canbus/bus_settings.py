@@ -28,7 +28,7 @@ class BusSettings(Settings):
     bitrate: int | None = quantity(
         None,
         unit="bit/s",
-        description="Bit rate, for interfaces that set it; with socketcan what 'ip link' has set, to check the load",
+        description="Bit rate, for interfaces that set it; with socketcan the rate set by 'ip link', to check the load",
         gt=0,
         le=1_000_000,
     )
@@ -39,12 +39,12 @@ class BusSettings(Settings):
         default=False, description="Whether CAN FD frames are sent with the higher bit rate for their data"
     )
     options: dict[str, bool | int | float | str] = Field(
-        default_factory=dict, description="Further arguments of the python-can interface, passed as they are"
+        default_factory=dict, description="Further arguments of the python-can interface, passed unchanged"
     )
     max_frames_per_tick: int | None = quantity(
         None,
         unit="frames",
-        description="Most frames read in one tick; by default twice what the bus can carry in one, 64 at least",
+        description="Most frames read in one tick; default: twice what the bus can carry in a tick, at least 64",
         ge=1,
         le=10_000,
     )
@@ -76,7 +76,7 @@ class BusSettings(Settings):
             near = difflib.get_close_matches(interface, can.VALID_INTERFACES, n=1)
             guess = f"did you mean {near[0]}? " if near else ""
             raise ValueError(
-                f"python-can has no such interface; {guess}It knows: {', '.join(sorted(can.VALID_INTERFACES))}"
+                f"python-can has no such interface; {guess}Its interfaces: {', '.join(sorted(can.VALID_INTERFACES))}"
             )
         return interface
 
@@ -100,7 +100,7 @@ class BusSettings(Settings):
         if self.bit_rate_switch and not self.fd:
             raise ValueError("bit_rate_switch has an effect on CAN FD frames only; set fd = true, or remove it")
         if self.fd and self.interface not in _FD:
-            raise ValueError(f"fd is not possible on interface {self.interface!r}; it is on {', '.join(sorted(_FD))}")
+            raise ValueError(f"fd is not possible on interface {self.interface!r}, only on {', '.join(sorted(_FD))}")
         if self.fd and self.bitrate is not None:
-            raise ValueError("bitrate serves to check the load of a bus with classic frames; with fd = true, remove it")
+            raise ValueError("bitrate serves only the load check with classic frames; with fd = true, remove it")
         return self

@@ -122,7 +122,7 @@ class _Node(asyncio.Protocol):
             if len(self._received) > _LONGEST_TOKEN:
                 raise ValueError(f"no end within {_LONGEST_TOKEN} bytes")  # noqa: TRY301
         except ValueError as error:
-            _log.warning("hub: client %s on channel %s sent nonsense, closed: %s", self._name, self._channel, error)
+            _log.warning("hub: client %s on channel %s sent invalid data, closed: %s", self._name, self._channel, error)
             self._is_raw = False
             self.transport.write(f"< error {error} >".encode("ascii", "replace"))
             self.transport.close()

@@ -44,7 +44,7 @@ def line_of(report: AxisReport) -> str:
 def _of_trip(trip: TripStatus) -> str:
     text = f"\ntrip {trip.code}: {trip.cause}\nnext: {trip.next_action}"
     if len(trip.codes) > 1:
-        text += f"\ntripped by as well: {', '.join(trip.codes[1:])}"
+        text += f"\nfurther trips: {', '.join(trip.codes[1:])}"
     if trip.file:
         text += f"\nfile: {trip.file}"
     if trip.file_error:
@@ -100,9 +100,9 @@ def _reference(axis: AxisStatus) -> str:
     """Return on what the positions of an axis rest."""
     if not axis.referenced:
         return f"not known: {axis.reference_lost}"
-    seen = "" if axis.position is not None else "; the axis is not seen just now"
+    seen = "" if axis.position is not None else "; no fresh feedback at present"
     if axis.reference is ReferenceSource.ENCODER:
-        return "as the encoder counts them; the axis has not been homed since the service started" + seen
+        return "as counted by the encoder; the axis has not been homed since the service started" + seen
     return "homed" + seen
 
 

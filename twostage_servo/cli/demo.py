@@ -33,8 +33,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "demo",
         help="move a simulated axis, all in this process",
         description="Run the service and a simulated drive in one process on the virtual bus: arm, move, wait for the "
-        "position window, stop. Needs no hardware. In real time the embedded configuration tolerates more from "
-        "a busy machine: 100 ms without feedback, 20 missed ticks, 250 ms of silence at the drive.",
+        "position window, stop. Needs no hardware. In real time, the embedded configuration tolerates a busy "
+        "machine: 100 ms without feedback, 20 missed ticks, 250 ms of silence at the drive.",
     )
     add_options(demo, required=False)
     demo.add_argument("--to", type=decimal, metavar="POSITION", help="set-point (default: 4 s of cruise away)")

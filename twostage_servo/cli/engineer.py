@@ -29,16 +29,16 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     check = verbs.add_parser(
         "check",
         help="check a configuration",
-        description="Check a configuration, its DBC and the design that follows from it; the bus is not touched.",
+        description="Check a configuration, its DBC and the design that follows from it. The bus is not touched.",
     )
-    check.add_argument("file", nargs="?", help="the configuration; as --config")
+    check.add_argument("file", nargs="?", help="the configuration, same as --config")
     check.add_argument("--explain", action="store_true", help="list every key with its unit, bounds and meaning")
     add_options(check, required=False)
     check.set_defaults(run=_check)
     design = verbs.add_parser(
         "design",
         help="show gains, change-over distance, poles and margins",
-        description="Show what the configured plant, weights and noise lead to; the bus is not touched.",
+        description="Show the design that follows from plant, weights and noise. The bus is not touched.",
     )
     add_options(design, required=False)
     design.add_argument(
@@ -48,7 +48,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--plot",
         type=Path,
         metavar="FILE",
-        help="draw the Nyquist plot of each stage's loop and its answer to a step, as PNG or SVG by the file's ending",
+        help="plot each stage's Nyquist curve and step response; the name's ending selects PNG or SVG",
     )
     design.set_defaults(run=_design)
 
@@ -86,8 +86,8 @@ def _check(options: argparse.Namespace) -> ExitCode:
         print_line(f"{machine.source}: valid. " + "\n".join(map(_sentence, summaries)))
         if ends_within_s > _UNIT_WAITS_S:
             print_line(
-                f"With its time to brake (service.shutdown_timeout_ms) the service may take {ends_within_s:.3g} s to "
-                "end. It asks systemd for that; any other manager must wait as long before it kills it."
+                f"The service may take {ends_within_s:.3g} s to end, including service.shutdown_timeout_ms to brake. "
+                "It asks systemd for that time; any other manager must wait as long before it kills the service."
             )
     return ExitCode.DONE
 
@@ -131,10 +131,10 @@ def _warnings_of_the_end(machine: "Machine", axis_loop: "AxisLoop") -> "Iterator
     if "shutdown_timeout_ms" in settings.model_fields_set and settings.shutdown_timeout_ms < needed_ms:
         disables = (
             f"the braking at the end of the service: axis {axis_loop.name} takes {needed_ms:.0f} ms to stop from "
-            f"{speed:g} {axis.settings.unit}/s, and its drive is disabled before, so that it coasts"
+            f"{speed:g} {axis.settings.unit}/s, but its drive is disabled earlier, so the axis coasts"
         )
         problem = machine.problem(("service", "shutdown_timeout_ms"), disables)
-        yield _warning(problem, settings.shutdown_timeout_ms, f"remove it, or state {needed_ms:.0f} at least")
+        yield _warning(problem, settings.shutdown_timeout_ms, f"remove it, or set at least {needed_ms:.0f}")
 
 
 def _warning(problem: "ConfigError", value: float, do: str) -> dict[str, Any]:
@@ -164,14 +164,14 @@ def _notes(config: "Config", period_s: float) -> "Iterator[str]":
         yield (
             f"bus.max_frames_per_tick is {most}, and a bus of {rate} can carry {carried} frames in a tick of "
             f"{1e3 * period_s:g} ms: when it does, feedback is read late and axis {config.axis.name} trips "
-            "(stale_feedback); remove the key, its default follows the tick and the bit rate"
+            "(stale_feedback); remove the key: its default follows from the tick and the bit rate"
         )
 
 
 def _sentence(summary: dict[str, Any]) -> str:
     bus, frames, unit, detection = summary["bus"], summary["frames"], summary["unit"], summary["detection"]
     speed = detection["certain_from_velocity"]
-    slowest = "not in a cruise" if speed is None else f"in a cruise from {speed:.3g} {unit}/s on"
+    slowest = "not in a cruise" if speed is None else f"in a cruise at {speed:.3g} {unit}/s or more"
     return (
         f"Axis {summary['axis']} on {bus['interface']} {bus['channel']}, command 0x{frames['command']:x}, feedback "
         f"0x{frames['feedback']:x}; change-over {summary['changeover_distance']:.4g} {unit} before the set-point at "
@@ -239,7 +239,7 @@ def _plot(path: Path, design: "AxisDesign", loops: "Mapping[str, Loop]", source:
         figure.savefig(path)
     except OSError as error:
         raise CommandError(ExitCode.FAILED, "plot", f"the plot cannot be written: {path}: {error.strerror}") from error
-    note(f"drawn to {path}")
+    note(f"plot written to {path}")
 
 
 def _report(design: "AxisDesign", velocity: float, loops: "Mapping[str, Loop]") -> dict[str, Any]:

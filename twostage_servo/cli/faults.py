@@ -18,12 +18,12 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     """Declare the verb."""
     faults = verbs.add_parser(
         "faults",
-        help="inject every fault into this axis in simulated time: how it reacts, how far it travels",
+        help="inject faults into this axis in simulated time; show how it reacts and how far it travels",
         description="Inject 65 faults of bus, encoder, drive, host, operator and disk into the running service, in "
-        "six phases of a move, the severe ones while homing and jogging as well, those of the encoder while stopping, "
-        "in simulated time on the axis of a configuration, or on each axis of a machine. Shows the reaction, and the "
-        "travel that it costs against what the limits allow. Five faults need real processes and real time; "
-        "--simulated leaves them out.",
+        "simulated time, on the axis of a configuration or on each axis of a machine: in six phases of a move, the "
+        "severe ones also while homing and jogging, those of the encoder also while stopping. Show the reaction, and "
+        "the travel that it costs against what the limits allow. Five faults need real processes and real time; "
+        "--simulated omits them.",
     )
     add_options(faults, required=False)
     faults.add_argument("--fault", type=whole, action="append", metavar="N", help="only this fault; may be repeated")
@@ -31,10 +31,10 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--phase", choices=[phase.value for phase in Phase], action="append", help="only this phase; may be repeated"
     )
     faults.add_argument(
-        "--seed", type=whole, default=1, metavar="N", help="seed of noise, sizes and moments (default 1)"
+        "--seed", type=whole, default=1, metavar="N", help="seed of noise, sizes and times of the faults (default 1)"
     )
-    faults.add_argument("--html", type=Path, metavar="FILE", help="write the matrix as a page")
-    faults.add_argument("--simulated", action="store_true", help="leave out the faults that need real processes")
+    faults.add_argument("--html", type=Path, metavar="FILE", help="write the matrix as an HTML page")
+    faults.add_argument("--simulated", action="store_true", help="omit the faults that need real processes")
     faults.set_defaults(run=_faults)
 
 
@@ -71,7 +71,7 @@ def _faults(options: argparse.Namespace) -> ExitCode:
         progress.end()
     if not result.cells and not result.not_applicable:
         raise CommandError(
-            ExitCode.USAGE, "usage", "no such fault, or not in this phase: see docs/faults.md for the list"
+            ExitCode.USAGE, "usage", "there is no such fault, or not in this phase: see the list in docs/faults.md"
         )
     if options.html is not None:
         what = f"{', '.join(f'axis {name}' for name in result.units)} of {path or 'the embedded demo.toml'}"

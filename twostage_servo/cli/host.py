@@ -31,8 +31,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     latency = verbs.add_parser(
         "latency",
         help="measure how late ticks are on this host",
-        description="Run the service's ticks with the configured tick and [realtime] settings, without a motion and "
-        "without touching the bus, and judge how late they come. Exit code 3 if the verdict is poor.",
+        description="Run the service's ticks with the configured tick and [realtime] settings, without motion and "
+        "without touching the bus, and judge their lateness. Exit code 3 if the verdict is poor.",
     )
     add_options(latency, required=False)
     latency.add_argument(
@@ -46,8 +46,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     doctor = verbs.add_parser(
         "doctor",
         help="check this host, its bus and its folders",
-        description="Check kernel, processors, limits, memory, folders and bus for what the configuration asks for, "
-        "and say what to do. Nothing is changed, and the bus is not touched. Exit code 3 if a check fails.",
+        description="Check whether kernel, processors, limits, memory, folders and bus provide what the configuration "
+        "needs, and print what to do. Nothing is changed, and the bus is not touched. Exit code 3 if a check fails.",
     )
     add_options(doctor, required=False)
     doctor.set_defaults(run=_doctor)
@@ -153,7 +153,7 @@ def _latency_text(machine: "Machine", measurement: "Measurement", verdict: "Verd
     from twostage_servo.host.latency import histogram_us, summary_us
 
     count, elapsed_s = len(measurement.lateness_s), measurement.elapsed_s
-    load = f"{hogs} busy processes" if hogs else "no load of its own"
+    load = f"{hogs} busy processes" if hogs else "no added load"
     lines = [
         f"{verdict.level}: {verdict.reason}",
         "",
@@ -180,7 +180,7 @@ def _remedies_text(warnings: "Sequence[Grant]", obstacles: "Sequence[Finding]") 
     by_remedy = {one.remedy: one.found for one in obstacles} | {one.remedy: one.warning for one in warnings}
     if not by_remedy:
         return ""
-    return "\nwhat could be better\n" + "\n".join(f"  {found}\n    {remedy}" for remedy, found in by_remedy.items())
+    return "\npossible improvements\n" + "\n".join(f"  {found}\n    {remedy}" for remedy, found in by_remedy.items())
 
 
 # doctor --------------------------------------------------------------------------------------------------------------
@@ -262,7 +262,7 @@ def examine(machine: "Machine", host: "Host") -> "list[Finding]":
             findings += interface.findings
             bit_rate = interface.bit_rate or bit_rate
         else:
-            found = f"bus.interface is {bus.interface}: there is no interface of this host to look at"
+            found = f"bus.interface is {bus.interface}: no network interface of this host to check"
             findings.append(Finding("bus interface", Status.SKIP, found))
         findings.append(_load_finding(axes, machine.service.tick_ms / 1e3, bit_rate))
     return findings
@@ -285,14 +285,14 @@ def _load_finding(axes: "list[LoadedConfig[Config]]", tick_s: float, bit_rate: i
 
     name = "bus load"
     if axes[0].config.bus.fd:
-        return Finding(name, Status.SKIP, "it is not computed for CAN FD frames")
+        return Finding(name, Status.SKIP, "not computed for CAN FD frames")
     if bit_rate is None:
-        return Finding(name, Status.SKIP, "the bit rate is not known")
+        return Finding(name, Status.SKIP, "the bit rate is unknown")
     with configuration_problems():
         frames = [frame for loaded in axes for frame in cyclic_frames(loaded, build_drive(loaded), tick_s)]
     load = bus_load(frames, bit_rate)
     each = ", ".join(f"{one.name} each {1e3 * one.period_s:g} ms" for one in frames[:3])
-    found = f"{100 * load:.3g} % of {bit_rate / 1e3:g} kbit/s at most, by {len(axes)} axes alone ({each})"
+    found = f"at most {100 * load:.3g} % of {bit_rate / 1e3:g} kbit/s, from {len(axes)} axes alone ({each})"
     if len(axes) == 1:
         found = found.replace("1 axes", "this axis")
     remedy = "raise the bit rate or service.tick_ms, or move other nodes to another bus"

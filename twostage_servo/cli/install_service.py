@@ -24,8 +24,8 @@ _ADMINISTRATORS, _VENDORS = "etc", "usr/lib"
 _HIDDEN: Final = ("/root", "/home", "/run/user", "/tmp", "/var/tmp")  # noqa: S108 - ProtectHome and PrivateTmp hide them
 _AFTER: Final = ("systemd-sysusers", "systemctl daemon-reload", "udevadm control --reload")
 _FIRST_START: Final = (
-    "put your configuration into /etc/twostage-servo/servo.toml (mkdir it first; config/socketcan.toml is an example)",
-    "adduser YOUR_NAME twostage-servo, and log in anew: members of the group may command the axes",
+    "put your configuration into /etc/twostage-servo/servo.toml (mkdir first; config/socketcan.toml is an example)",
+    "adduser YOUR_NAME twostage-servo, and log in again: members of the group may command the axes",
     "systemctl enable --now systemd-networkd twostage-servo",
 )
 _LAST: Final = "systemctl stop twostage-servo 'twostage-servo@*' (running services continue until then)"
@@ -42,17 +42,18 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     """Declare the verb."""
     parser = verbs.add_parser(
         "install-service",
-        help="place the units of systemd",
-        description="Place the units of systemd, the network file and the udev rule of the CAN interfaces, and the "
-        "operators' group. Nothing is started. Again, it changes only what differs; files of others are left alone.",
+        help="install the systemd units",
+        description="Install the systemd units, the network file and the udev rule of the CAN interfaces, and the "
+        "operators' group. Nothing is started. A second run changes only what differs. Files that it did not write "
+        "are left alone.",
     )
     what = parser.add_mutually_exclusive_group()
-    what.add_argument("--print", action="store_true", dest="show", help="print the files, and place none")
-    what.add_argument("--uninstall", action="store_true", help="remove what was placed")
-    parser.add_argument("--bit-rate", type=whole, default=500_000, metavar="BIT/S", help="of the bus (default 500000)")
-    parser.add_argument("--program", type=Path, help="path of twostage-servo (default: the one that runs)")
-    parser.add_argument("--root", type=Path, default=Path("/"), help="folder to place the files below (default /)")
-    parser.add_argument("--vendor", action="store_true", help="for a package: below /usr/lib, which /etc outranks")
+    what.add_argument("--print", action="store_true", dest="show", help="print the files, and install none")
+    what.add_argument("--uninstall", action="store_true", help="remove the installed files")
+    parser.add_argument("--bit-rate", type=whole, default=500_000, metavar="BIT/S", help="bit rate (default 500000)")
+    parser.add_argument("--program", type=Path, help="path of twostage-servo (default: the running one)")
+    parser.add_argument("--root", type=Path, default=Path("/"), help="folder to install below (default /)")
+    parser.add_argument("--vendor", action="store_true", help="for a package: below /usr/lib, which /etc overrides")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_run)
 
@@ -101,7 +102,7 @@ def _run(options: argparse.Namespace) -> ExitCode:
     strangers = [path for path in targets if _is_a_strangers(path)]
     if strangers:
         listed = ", ".join(map(str, strangers))
-        text = f"not placed by this command, and so left alone: {listed}. Move them away, then run it again."
+        text = f"left alone, because this command did not write them: {listed}. Move them away, then run it again."
         raise CommandError(ExitCode.FAILED, "foreign_file", text)
     try:
         placed = [_remove(path) if options.uninstall else _write(path, text) for path, text in targets.items()]
@@ -130,7 +131,7 @@ def _program(options: argparse.Namespace) -> Path:
     needed = [program] if options.program else [program, Path(sys.executable).resolve()]
     for path in needed:
         if not options.show and not options.uninstall and any(path.is_relative_to(hidden) for hidden in _HIDDEN):
-            text = f"{path} is hidden from the service, which sees neither homes nor /tmp; install to /opt"
+            text = f"the service cannot see {path}: home folders and /tmp are hidden from it; install to /opt"
             raise CommandError(ExitCode.USAGE, "program", text)
     return program
 

@@ -279,8 +279,8 @@ def _finish(options: argparse.Namespace, status: Status, *, moved: bool = False,
     unseen = [one for one in reports if disabled and one.axis.state not in ENABLED and unheard_of(one)]
     for one in () if options.json else unseen:
         print_line(
-            f"{one.axis.name}: it is not known whether the drive is off; its own command time-out must have "
-            "stopped it. Look at the axis, and ask again when the drive is heard"
+            f"{one.axis.name}: nobody knows whether the drive is off; its own command time-out should have "
+            "stopped it. Look at the axis, and ask again when the drive responds"
         )
     if options.verb == "disarm":  # a trip has disabled the drive as well
         return ExitCode.FAILED if unseen or any(map(_may_be_enabled, reports)) else ExitCode.DONE

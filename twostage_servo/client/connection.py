@@ -200,8 +200,7 @@ def _nobody(path: Path, error: OSError, within_s: float) -> ServoError:
         FileNotFoundError: "is the service running? Start it with `twostage-servo run --config FILE`, "
         "or name its socket with --socket",
         ConnectionRefusedError: "the service that made this socket has ended; start it again",
-        BlockingIOError: f"others connect to it all of the time, and {within_s:g} s were not enough; "
-        "`ss -xp` shows them",
+        BlockingIOError: f"other clients keep connecting, and {within_s:g} s were not enough; `ss -xp` shows them",
         PermissionError: "you may not use it; its owner and group may, if they may enter its folder",
     }.get(type(error), str(error))
     return Unreachable(Reason.NO_SERVICE, f"no service answers at {path}: {hint}")

@@ -172,7 +172,7 @@ def status_in(fields: JsonObject, where: object) -> Status:
 
 def unreadable(where: object, why: object) -> ServoError:
     """Return the error of an answer that is not understood."""
-    text = f"what the service at {where} answers is not understood, it may be of another version: {why}"
+    text = f"the answer of the service at {where} cannot be understood; it may be another version: {why}"
     return Unreachable(Reason.UNREADABLE, text)
 
 

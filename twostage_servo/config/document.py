@@ -113,7 +113,7 @@ def _apply(data: dict[str, Any], override: str, present: Callable[[tuple[str, ..
     if not equals or not key:
         _refuse(argument, "is not KEY=VALUE, such as simulation.gain=234")
     if not override.isprintable():
-        _refuse(argument, "holds characters that cannot be printed; a value is plain text on one line")
+        _refuse(argument, "contains unprintable characters; a value is plain text on one line")
     try:
         named = split_key(key)
     except (ValueError, RecursionError):
@@ -124,7 +124,7 @@ def _apply(data: dict[str, Any], override: str, present: Callable[[tuple[str, ..
     for depth, part in enumerate(path[:-1], start=1):
         table = table.setdefault(part, {})
         if not isinstance(table, dict):
-            _refuse(argument, f"{key_text(path[:depth])} is not a table, it has no keys", key=key_text(path))
+            _refuse(argument, f"{key_text(path[:depth])} is not a table and has no keys", key=key_text(path))
     table[path[-1]] = value
     return Override(argument, path, value, named)
 
@@ -136,5 +136,5 @@ def _override_value(argument: str, path: Path, text: str) -> object:
         if text and text[0] not in "\"'[{#":
             return text
         reason = str(error).partition(" (at ")[0]
-        notation = 'a value is written as in TOML: 1.5, true, "mm", [1, 2], ""'
+        notation = 'write a value as in TOML: 1.5, true, "mm", [1, 2], ""'
         _refuse(argument, f"{reason}; {notation}", key=key_text(path))

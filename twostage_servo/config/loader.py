@@ -30,13 +30,13 @@ ModelT = TypeVar("ModelT", bound=Settings)
 class Config(Settings):
     """The whole configuration file."""
 
-    service: ServiceSettings = Field(ServiceSettings(), description="The tick and what runs beside it")
-    realtime: RealtimeSettings = Field(RealtimeSettings(), description="What the service asks of its host")
+    service: ServiceSettings = Field(ServiceSettings(), description="Tick, control socket and log")
+    realtime: RealtimeSettings = Field(RealtimeSettings(), description="Real-time settings of the host")
     bus: BusSettings = Field(description="The CAN bus")
     protocol: DriveSettings = Field(
-        default_factory=lambda: DriveSettings.model_validate({}), description="The type of the drive, and its frames"
+        default_factory=lambda: DriveSettings.model_validate({}), description="Type of the drive, and its frames"
     )
-    axis: AxisSettings = Field(description="The drive: plant, law, observer, limits")
+    axis: AxisSettings = Field(description="The axis: plant, law, observer, limits")
     simulation: SimulationSettings = Field(SimulationSettings(), description="The simulated drive")
 
 

@@ -47,8 +47,8 @@ class MachineSettings(Settings):
 class MachineConfig(Settings):
     """The whole file of a machine of several axes."""
 
-    service: ServiceSettings = Field(ServiceSettings(), description="The tick and what runs beside it")
-    realtime: RealtimeSettings = Field(RealtimeSettings(), description="What the service asks of its host")
+    service: ServiceSettings = Field(ServiceSettings(), description="Tick, control socket and log")
+    realtime: RealtimeSettings = Field(RealtimeSettings(), description="Real-time settings of the host")
     machine: MachineSettings = Field(description="The axes")
 
 
@@ -149,7 +149,7 @@ def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
     names = {axis.config.axis.name for axis in axes}
     problems += [
         Problem(
-            f"--set {name}:{text}", None, "", None, f"there is no axis {name}; there are {', '.join(sorted(names))}"
+            f"--set {name}:{text}", None, "", None, f"there is no axis {name}; the axes are {', '.join(sorted(names))}"
         )
         for name, text in for_axes
         if name not in names and not problems
@@ -177,15 +177,15 @@ def _problems_together(machine: LoadedConfig[MachineConfig], axes: Sequence[Load
         if name == "all":
             yield from loaded.problem(("axis", "name"), "'all' means every axis; choose another name").problems
         if name in seen:
-            text = f"{seen[name]} has an axis of this name as well; give each its own"
+            text = f"{seen[name]} has an axis of this name too; give each axis its own name"
             yield from loaded.problem(("axis", "name"), text).problems
         seen[name] = loaded.source
         for table, default in (("service", ServiceSettings()), ("realtime", RealtimeSettings())):
             if getattr(config, table) not in (default, getattr(machine.config, table)):
-                text = f"differs from that of {machine.source}, which counts: remove it here"
+                text = f"differs from that of {machine.source}, which takes precedence: remove it here"
                 yield from loaded.problem((table,), text).problems
     for first, second in _different_settings_of_one_bus(axes):
-        text = f"differs from that of {first.source}, though it is the same bus: give both the same settings"
+        text = f"differs from that of {first.source}, but it is the same bus: give both the same settings"
         yield from second.problem(("bus",), text).problems
 
 

@@ -30,7 +30,7 @@ def validation_problems(error: ValidationError, document: Document, model: type[
     last = float("inf")
     problems.sort(key=lambda problem: last if problem.line is None else problem.line)
     if len(errors) > _MOST_PROBLEMS:
-        more = f"and {len(errors) - _MOST_PROBLEMS} more; is this a configuration of twostage-servo?"
+        more = f"and {len(errors) - _MOST_PROBLEMS} more; check that this is a configuration of twostage-servo"
         problems.append(Problem(document.file, None, "", None, more))
     return problems
 
@@ -46,7 +46,7 @@ def _message(details: ErrorDetails, located: Located, model: type[Settings]) -> 
         if table is None:
             return f"is missing; {row(located).needed}"
         required = ", ".join(setting.key for setting in describe(table) if setting.default is None)
-        return f"the table is missing ({row(located).description}); it needs the keys: {required}"
+        return f"the table is missing ({row(located).description}); required keys: {required}"
     if kind == "finite_number":
         return f"is not finite; {row(located).needed}"
     return row(located).needed
@@ -60,5 +60,5 @@ def _unknown_key_message(path: Path, located: Located, model: type[Settings]) ->
     elsewhere = [setting.key for setting in describe(model) if setting.key.rpartition(".")[2] == unknown]
     guess = f"; did you mean {' or '.join(near or elsewhere[:3])}?" if near or elsewhere else ""
     place = f"[{key_text(located.path)}]" if located.path else "the file"
-    known = f"; {place} knows: {', '.join(names)}" if len(names) <= _LONGEST_KEY_LIST else ""
+    known = f"; keys of {place}: {', '.join(names)}" if len(names) <= _LONGEST_KEY_LIST else ""
     return f"unknown key{guess}{known}"

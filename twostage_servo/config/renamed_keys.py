@@ -75,7 +75,7 @@ def _rename(model: type[BaseModel], data: dict[str, Any], path: Path, file: Toml
             continue
         if present in data:
             line, old = file.lines.get((*path, present)), (*path, former)
-            text = f"is the former name of {key_text((*path, present))}, which is in line {line} as well; keep that one"
+            text = f"is the former name of {key_text((*path, present))}, which is also in line {line}; keep that one"
             raise ConfigError([Problem(file.source, file.lines.get(old), key_text(old), None, text)])
         data[present] = data.pop(former)
         yield (*path, former), (*path, present)

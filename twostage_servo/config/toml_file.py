@@ -111,13 +111,11 @@ def _read(path: Path) -> str:
         inside = ", ".join(sorted(entry.name for entry in path.glob("*.toml"))[:8])
         _refuse(str(path), f"this is a folder; name a TOML file in it{f': {inside}' if inside else ''}")
     except PermissionError:
-        _refuse(
-            str(path), f"user {os.getuid()} may not read it; check the owner and mode of it and of the folders above"
-        )
+        _refuse(str(path), f"user {os.getuid()} may not read it; check the owner and mode of the file and its folders")
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         _refuse(str(path), f"cannot be read: {error}")
     if len(content) > LARGEST_FILE_BYTES:
-        _refuse(str(path), f"is larger than {LARGEST_FILE_BYTES} bytes, hardly a configuration; is the name right?")
+        _refuse(str(path), f"is larger than {LARGEST_FILE_BYTES} bytes, too large for a configuration; check the name")
     try:
         # Not by the codec utf-8-sig, which is one more module to load.
         return content.removeprefix(codecs.BOM_UTF8).decode().replace("\r\n", "\n")
@@ -137,9 +135,9 @@ def _parse(source: str, text: str) -> dict[str, Any]:
     except ValueError as error:  # an integer of thousands of digits
         digits = re.search(r"\d{4000,}", text)  # the only value that tomllib takes for one and Python does not
         line = text.count("\n", 0, digits.start()) + 1 if digits else None
-        _refuse(source, f"holds a value that cannot be read: {str(error).partition(';')[0]}", line)
+        _refuse(source, f"contains a value that cannot be read: {str(error).partition(';')[0]}", line)
     if not data:
-        _refuse(source, "there is no setting in this file; start from a copy of demo.toml")
+        _refuse(source, "there are no settings in this file; start from a copy of demo.toml")
     return data
 
 
@@ -153,10 +151,10 @@ def _refuse_syntax(source: str, text: str, error: str) -> NoReturn:
 
         offset = sum(len(text_line) + 1 for text_line in text_lines[: line - 1]) + column - 1
         path, line, earlier_line = toml_lines.find_clash(text[:offset])
-        earlier = f"clashes with line {earlier_line}" if earlier_line is not None else "holds a key twice"
-        _refuse(source, f"{earlier}: each key and table is given once; keep one of the two", line, key_text(path))
+        earlier = f"clashes with line {earlier_line}" if earlier_line is not None else "contains a key twice"
+        _refuse(source, f"{earlier}: each key and table must appear once; keep one of the two", line, key_text(path))
     if message == "Invalid value":
-        message += ": text goes in quotes, numbers are written 1.5, switches true or false"
+        message += ": write text in quotes, numbers as 1.5, switches as true or false"
     _refuse(source, f"not TOML at column {column}: {message}\n{_caret(text_lines[line - 1], column)}", line)
 
 

@@ -14,7 +14,7 @@ SettingsClass: TypeAlias = type[Settings]
 class DriveSettings(Settings):
     """What the settings of all types of drives have in common. A type adds its own keys to them."""
 
-    type: str = Field(DBC, description="Type of the drive: dbc, or one that an installed package brings")
+    type: str = Field(DBC, description="Type of the drive: dbc, or one that an installed package provides")
 
     @field_validator("type")
     @classmethod

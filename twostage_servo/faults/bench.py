@@ -145,7 +145,7 @@ class Bench:
                 if condition(snapshot := self.operator.unread.popleft()):
                     return snapshot
             if not alive:
-                raise BenchError(f"the service has gone, in the wait for {what}:\n{self.service.log()[-1000:]}")
+                raise BenchError(f"the service ended while waiting for {what}:\n{self.service.log()[-1000:]}")
             self._check(end_s, what)
             select.select([self.operator], [], [], _GLANCE_S)
 
@@ -180,7 +180,7 @@ class Bench:
 
     def _check(self, end_s: float, what: str) -> None:
         if self.drive.has_ended:
-            raise BenchError(f"the drive has ended, in the wait for {what}:\n{self.drive.log()[-1000:]}")
+            raise BenchError(f"the drive ended while waiting for {what}:\n{self.drive.log()[-1000:]}")
         if time.monotonic() > end_s:
             raise BenchError(f"waited {LONGEST_S:g} s in vain for {what}")
 

@@ -129,17 +129,17 @@ async def told_in_time(world: World) -> str | None:
     allowed = world.axis.design.ticks(limits.effort_saturation_ms)
     driven = list(itertools.takewhile(lambda sample: sample.state not in _LATCHED, world.samples))
     if len(driven) == len(world.samples):
-        return "it was not noticed that the effort stands at its limit"
+        return "the effort at its limit was not noticed"
     at_limit = itertools.takewhile(lambda sample: abs(sample.effort) >= limits.effort, reversed(driven))
     ticks = sum(1 for _ in at_limit)
-    return None if ticks <= allowed else f"the effort stood at its limit for {ticks} ticks, {allowed} are allowed"
+    return None if ticks <= allowed else f"the effort was at its limit for {ticks} ticks, {allowed} are allowed"
 
 
 async def still_seen(world: World) -> str | None:
     """Check that the position is tracked after the power is off."""
     position = world.axis.drive.position
     if world.axis.drive.is_stale or position is None:
-        return "the position is not seen any more"
+        return "the position is no longer seen"
     apart = abs(position - world.drive.position)
     resolution = 2.0 * max(world.axis_loop.drive.traits.position_quantum, world.simulation.quantum)
     return None if apart <= resolution + world.axis.settings.window.position else f"the position is off by {apart:.4g}"
@@ -176,7 +176,7 @@ async def ended_with_an_error(world: World) -> str | None:
     """Check that the service ended with the defect, so that its process exits with a code other than zero."""
     serving = world.serving
     if not serving.done():
-        return "the service goes on"
+        return "the service continues"
     error = serving.exception()
     return None if isinstance(error, RuntimeError) else f"the service ended with {error!r}"
 
@@ -185,7 +185,7 @@ async def refused_all(world: World) -> str | None:
     """Check that every request of the fault was refused."""
     carried_out = sum(answer is None for answer in world.refusals)
     if not world.refusals:
-        return "nothing was asked"
+        return "no request was sent"
     return f"{carried_out} of {len(world.refusals)} requests were carried out" if carried_out else None
 
 
@@ -254,6 +254,6 @@ async def told_how_far(world: World) -> str | None:
         return f"it tripped: {axis.trip.cause}"
     moved = axis.disabled.moved
     if moved is None:
-        return "nothing tells that the axis has moved"
+        return "the motion of the axis is not reported"
     apart = abs(world.place() - place - moved)
-    return None if apart <= gate else f"it is told to have moved by {moved:.4g}, which is off by {apart:.4g}"
+    return None if apart <= gate else f"the reported motion of {moved:.4g} is off by {apart:.4g}"

@@ -133,7 +133,7 @@ async def serves_others(world: World) -> str | None:
 
 def _judge(world: World, wanted: str) -> str | None:
     told = ", ".join("carried out" if code is None else code for code in world.refusals)
-    return None if world.refusals == [wanted] else f"wanted is {wanted}, and what came is: {told or 'nothing'}"
+    return None if world.refusals == [wanted] else f"expected {wanted}, got {told or 'nothing'}"
 
 
 def _count_what_is_carried_out(world: World) -> None:

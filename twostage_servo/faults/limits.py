@@ -41,8 +41,8 @@ def too_slow(motion: Motion) -> str:
     if motion.speed >= certain:
         return ""
     return (
-        f"the axis goes {motion.speed:.3g} {unit}/s at most, and a change of its encoder shows from {certain:.3g} "
-        f"{unit}/s on (`check`, certain_from_velocity)"
+        f"the axis moves at {motion.speed:.3g} {unit}/s at most, and a change of its encoder shows at "
+        f"{certain:.3g} {unit}/s or more (`check`, certain_from_velocity)"
     )
 
 
@@ -74,6 +74,6 @@ def hidden_by_noise(motion: Motion) -> str:
     if noise < _LOUD_NOISE * hides:
         return ""
     return (
-        f"the noise of {noise:g} {config.axis.unit} hides another scale while the axis accelerates, and in a cruise a "
-        "scale that was wrong from rest on looks like a load: one encoder cannot tell"
+        f"the noise of {noise:g} {config.axis.unit} hides a wrong scale while the axis accelerates, and in a cruise a "
+        "scale that was wrong from the start looks like a load: one encoder cannot tell"
     )

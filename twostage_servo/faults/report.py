@@ -70,7 +70,7 @@ def as_text(result: Result) -> str:
         parts += [_matrix_text(cells), ""]
     parts += [f"{letter}  {meaning}" for letter, meaning in MEANINGS.items()]
     units = ", ".join(dict.fromkeys(result.units.values()))
-    parts.append(f"Each cell: reaction, and travel after the fault / largest that is allowed, in {units}. ! is a miss.")
+    parts.append(f"Each cell: reaction, and travel after the fault / allowed travel, in {units}. ! marks a miss.")
     parts += [f"NOT APPLICABLE {line}" for line in _why_not(result.not_applicable)]
     for axis, cells in by_axis(result):
         parts += [f"LIMIT {describe(cell, result.units[axis])}" for cell in cells if cell.met and cell.limit]

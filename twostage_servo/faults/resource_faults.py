@@ -71,7 +71,7 @@ async def ended_with_the_drive_disabled(world: World) -> str | None:
     """Check that the service has ended without an error, and has told its drive to disable."""
     serving = world.serving
     if not serving.done():
-        return "the service goes on"
+        return "the service continues"
     if error := serving.exception():
         return f"the service ended with {error!r}"
     if world.drive.enabled:
@@ -185,7 +185,7 @@ async def told_that_no_descriptor_is_left(world: World) -> str | None:
 
 async def told_that_no_memory_is_left(world: World) -> str | None:
     """Check that it is told that there is no file of the trip, and the service goes on."""
-    return await _after_the_trip(world, "no memory is left")
+    return await _after_the_trip(world, "out of memory")
 
 
 async def _after_the_trip(world: World, expected_error: str) -> str | None:
@@ -194,7 +194,7 @@ async def _after_the_trip(world: World, expected_error: str) -> str | None:
         files.wait()
         error = files.error or ""
         if (expected_error not in error) or bool(error) is not bool(expected_error):
-            return f"of the trip's file is told: {error or 'nothing'}"
+            return f"the status reports of the trip file: {error or 'nothing'}"
         if not expected_error and (files.latest is None or not files.latest.exists()):
             return "there is no file of the trip"
     world.held.close()

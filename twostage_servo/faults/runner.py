@@ -153,7 +153,7 @@ def _order(axes: Sequence[str]) -> Callable[[Cell], tuple[int, ...]]:
 
 def _of_one_axis(faults: Sequence[int], phases: Sequence[Phase]) -> Iterator[NotApplicable]:
     """Yield what is not run on a machine, since it does not depend on how many axes there are."""
-    reason = "is run on the configuration of a single axis: `faults --config` with one of the machine's files"
+    reason = "runs only on a single axis: use `faults --config` with one of the machine's files"
     for number in (*PROCESS_FAULTS, *CONFIGURATION_FAULTS):
         if (not faults or number in faults) and Phase.IDLE in phases:
             yield NotApplicable(number, "", Phase.IDLE.value, reason)

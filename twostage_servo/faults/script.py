@@ -198,7 +198,7 @@ class Script:
         if not await world.until(reached, 60.0):
             trip = world.axis.trip
             raise NotOperableError(
-                f"the axis did not come to {self._phase.value} in a move by {abs(world.target - world.start):.4g} at "
+                f"the axis did not reach {self._phase.value} in a move by {abs(world.target - world.start):.4g} at "
                 f"{world.velocity:g} without a fault: {trip.cause if trip else 'it took too long'}"
             )
 

@@ -50,7 +50,7 @@ LETTERS = {
     Reaction.DISABLE: DISABLED,
 }
 MEANINGS = {
-    TOLERATED: "tolerated: the move goes on, what was missing is bridged and counted",
+    TOLERATED: "tolerated: the move continues; what is missing is bridged and counted",
     HELD: "controlled stop, then the axis holds",
     STOPPED: "controlled stop, then disabled; latched",
     QUICK: "quick stop, then disabled; latched",
@@ -281,7 +281,7 @@ def _ample_effort(config: Config) -> str:
     if drive_faults.WEAKNESS * share >= _LEAST_GAIN:
         return ""
     return (
-        f"the velocity limit takes {share:.0%} of the effort limit, so only a plant far off its model could need more"
+        f"the velocity limit needs {share:.0%} of the effort limit, so only a plant far off its model could need more"
     )
 
 
@@ -290,7 +290,7 @@ _D, _H, _R = drive_faults, host_faults, resource_faults
 TABLE: tuple[Fault, ...] = (
     # The bus
     Fault(1, "one frame lost", bus_faults.lose(1), TOLERATED, _bridged),
-    Fault(2, "as many frames lost in a row as the limit", bus_faults.lose_as_many_as_the_limit, QUICK, _stale,
+    Fault(2, "frames lost in a row, as many as the limit", bus_faults.lose_as_many_as_the_limit, QUICK, _stale,
           idle=TOLERATED, phases=EVERYWHERE),
     Fault(3, "5 % of the frames lost", bus_faults.lose_at_random, TOLERATED, _bridged),
     Fault(4, "frames doubled", bus_faults.double, TOLERATED, _bridged, needs=_counts, reason=_UNCOUNTED),
@@ -315,7 +315,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(15, "checksum wrong from now on", bus_faults.corrupt, QUICK, _stale, check=rejected_some,
           needs=lambda _, protocol: protocol.feedback.checksum is not False,
           reason="the drive's feedback has no checksum: only the controllers' own CRC protects its frames"),
-    Fault(15, "counter stands still", _D.repeat_counter, QUICK, _stale, needs=_counts,
+    Fault(15, "counter frozen", _D.repeat_counter, QUICK, _stale, needs=_counts,
           reason="the drive's feedback has no counter"),
     Fault(16, "transmit dead, receive alive", bus_faults.transmit_dead, _unheard, _command_timeout,
           note="the drive's own time-out stops it", shared=True),
@@ -337,7 +337,7 @@ TABLE: tuple[Fault, ...] = (
           phases=(*EVERYWHERE, *BRAKED), instead=DISABLED,
           limit=either(too_slow, looks_like_the_model(0.5)), limit_bound=lambda budget: budget.hidden_scale()),
     Fault(23, "position invalid", _D.not_a_number, QUICK, _stale, needs=lambda profile, _: profile.traits.says_invalid,
-          reason="the drive's position signal has no value that says it is invalid"),
+          reason="the drive's position signal has no value that means invalid"),
     Fault(24, "slow drift", _D.drift, TOLERATED, _followed,
           note="cannot be observed with one encoder: the axis follows it"),
     Fault(25, "coarse steps: limit cycle", _D.coarse, TOLERATED, _bridged),
@@ -376,7 +376,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(40, "a defect in the loop", _H.defect, QUICK,
           lambda budget: budget.quick_stop(budget.detection_s(1)), idle=REFUSED, check=ended_with_an_error,
           shared=True),
-    Fault(40, "a defect in what listens to the loop", _H.defect_of_a_publisher, QUICK,
+    Fault(40, "a defect in a listener of the loop", _H.defect_of_a_publisher, QUICK,
           lambda budget: budget.quick_stop(budget.detection_s(0)), idle=REFUSED, check=ended_with_an_error,
           shared=True),
     Fault(41, "processor hogged: every tick late", _H.hog, TOLERATED, lambda budget: budget.late(_H.LATEST_TICK)),
@@ -384,7 +384,7 @@ TABLE: tuple[Fault, ...] = (
     Fault(43, "set-points out of range, NaN, infinite", _H.bad_set_points, REFUSED, _unnoticed, check=refused_all),
     Fault(44, "set-point in mid-move", _H.retarget, TOLERATED, _retargeted, phases=MOVING, check=continuous),
     Fault(45, "two clients", _H.second_client, REFUSED, _unnoticed, check=refused_all),
-    Fault(46, "the client that commands dies", _H.client_dies, _after_the_holder, lambda budget: budget.stopping(
+    Fault(46, "the commanding client dies", _H.client_dies, _after_the_holder, lambda budget: budget.stopping(
         budget.detection_s(0), budget.limits.acceleration), shared=True),
     Fault(49, "reload while armed", _H.reload, REFUSED, _unnoticed, phases=ARMED, check=refused_all),
     # Clock, disk, network
@@ -397,17 +397,17 @@ TABLE: tuple[Fault, ...] = (
           lambda budget: budget.disarmed(), idle=DISABLED, phases=EVERYWHERE, check=still_enabled_is_told,
           shows_s=lambda config: config.axis.arming_timeout_ms / 1e3 + 4.0 * config.service.tick_ms / 1e3,
           needs=lambda _, protocol: protocol.feedback.enabled is not False),
-    Fault(56, "axis moves after `disarm`, its drive is off", _D.moves_while_disabled,
+    Fault(56, "axis moves after `disarm` with its drive off", _D.moves_while_disabled,
           {**dict.fromkeys((*MOVING, *SEARCHING), HELD), Phase.HOLDING: REFUSED}, _disarmed_and_moved, idle=TOLERATED,
           idle_bound=lambda budget: budget.followed() + budget.moved_while_disabled(_D.CREEP_GATES),
           refused_bound=_disarmed_and_moved,
           phases=EVERYWHERE, check=told_how_far, note="it looks like a push by hand: reported, no trip"),
     Fault(57, "heartbeat says fault, feedback does not", _D.contradiction, DISABLED,
           lambda budget: budget.contradicted(), idle=DISABLED, phases=EVERYWHERE, needs=_contradicts),
-    Fault(67, "drive switched off and on, old boot counter", _D.restart_with_the_old_boot_counter, QUICK, _at_once,
-          phases=EVERYWHERE, prepare=_D.count_away_from_zero, check=right_or_not_trusted, instead=DISABLED),
+    Fault(67, "drive switched off and on, boot counter unchanged", _D.restart_with_the_old_boot_counter, QUICK,
+          _at_once, phases=EVERYWHERE, prepare=_D.count_away_from_zero, check=right_or_not_trusted, instead=DISABLED),
     # Clients
-    Fault(58, "client gone with a request under way", client_faults.leave_too_soon, TOLERATED, _unnoticed,
+    Fault(58, "client disconnects during its request", client_faults.leave_too_soon, TOLERATED, _unnoticed,
           phases=EVERYWHERE, check=client_faults.was_dropped),
     Fault(59, "half-closed clients that do not read", client_faults.half_closed, TOLERATED, _unnoticed,
           phases=EVERYWHERE, check=client_faults.serves_others),
@@ -421,11 +421,11 @@ TABLE: tuple[Fault, ...] = (
               phases=EVERYWHERE, check=_R.ended_with_the_drive_disabled, shared=True)
         for number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1)
     ),
-    Fault(62, "a trip, and no descriptor is left", _R.no_descriptor_left, DISABLED, _at_once, idle=REFUSED,
+    Fault(62, "a trip with no file descriptor left", _R.no_descriptor_left, DISABLED, _at_once, idle=REFUSED,
           phases=EVERYWHERE, check=_R.told_that_no_descriptor_is_left),
-    Fault(63, "a trip, and no thread is to be had", _R.no_thread_left, DISABLED, _at_once, idle=REFUSED,
+    Fault(63, "a trip with no thread available", _R.no_thread_left, DISABLED, _at_once, idle=REFUSED,
           phases=EVERYWHERE, check=_R.wrote_the_trip),
-    Fault(64, "a trip, and no memory to write it", _R.no_memory_left, DISABLED, _at_once, idle=REFUSED,
+    Fault(64, "a trip with no memory to record it", _R.no_memory_left, DISABLED, _at_once, idle=REFUSED,
           phases=EVERYWHERE, check=_R.told_that_no_memory_is_left),
     Fault(65, "control socket deleted", _R.delete_socket, TOLERATED, _unnoticed, phases=EVERYWHERE,
           check=_R.is_served_again),

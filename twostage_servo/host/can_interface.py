@@ -56,7 +56,7 @@ def check_can_interface(host: Host, channel: str, *, fd: bool = False) -> CanInt
         result.add("bus controller", Status.SKIP, "ip is not installed (package iproute2)")
         return result
     except OSError as error:
-        result.add("bus controller", Status.SKIP, f"ip does not tell: {error}")
+        result.add("bus controller", Status.SKIP, f"ip failed: {error}")
         return result
     link = _parse(output)
     if link is None:
@@ -67,7 +67,7 @@ def check_can_interface(host: Host, channel: str, *, fd: bool = False) -> CanInt
     info = _table(link, "linkinfo")
     kind, data = info.get("info_kind"), _table(info, "info_data")
     if kind != "can" or not data:
-        result.add("bus controller", Status.SKIP, f"{channel} is of kind {kind or 'unknown'}: there is no controller")
+        result.add("bus controller", Status.SKIP, f"{channel} is of kind {kind or 'unknown'}: it has no controller")
         return result
     _check_state(channel, data, _table(info, "info_xstats"), result)
     _check_modes(channel, data, result)
@@ -90,14 +90,14 @@ def _check_presence(host: Host, channel: str, result: CanInterface) -> bool:
         result.add(
             "bus interface",
             Status.FAIL,
-            f"there is no {channel}; CAN interfaces that are there: {present}",
-            "plug the adapter in and see whether its driver took it (sudo dmesg | grep -i can), or name another in "
-            f"bus.channel; to try without one: sudo ip link add dev {channel} type vcan && "
+            f"there is no {channel}; CAN interfaces present: {present}",
+            "plug in the adapter and check that its driver loaded (sudo dmesg | grep -i can), or name another "
+            f"interface in bus.channel; to try without one: sudo ip link add dev {channel} type vcan && "
             f"sudo ip link set {channel} up",
         )
         return False
     if host.read(networks / channel / "type") != _ARPHRD_CAN:
-        result.add("bus interface", Status.FAIL, f"{channel} is no CAN interface", "name one in bus.channel")
+        result.add("bus interface", Status.FAIL, f"{channel} is not a CAN interface", "name one in bus.channel")
         return False
     flags = host.read(networks / channel / "flags") or "0x0"
     if not int(flags, 16) & _IFF_UP:
@@ -137,13 +137,13 @@ def _number(value: object) -> float | None:
 def _check_queue(channel: str, link: dict[str, Any], result: CanInterface) -> None:
     length = _number(link.get("txqlen"))
     if length is None:
-        result.add("transmit queue", Status.SKIP, "ip does not tell its length")
+        result.add("transmit queue", Status.SKIP, "ip does not report its length")
     elif length > _LONGEST_QUEUE:
         result.add(
             "transmit queue",
             Status.WARN,
-            f"{length:g} frames: on a bus that is blocked for a moment, commands that are long out of date wait in it",
-            f'sudo ip link set {channel} txqueuelen 10; for good, by udev: ACTION=="add", SUBSYSTEM=="net", '
+            f"{length:g} frames: while the bus is blocked, commands wait in it until they are long out of date",
+            f'sudo ip link set {channel} txqueuelen 10; permanently, by udev: ACTION=="add", SUBSYSTEM=="net", '
             f'KERNEL=="{channel}", ATTR{{tx_queue_len}}="10"',
         )
     else:
@@ -160,7 +160,7 @@ def _check_state(channel: str, data: dict[str, Any], statistics: dict[str, Any],
     if state == "ERROR-ACTIVE":
         result.add("bus controller", Status.OK, found)
     elif state in {"ERROR-WARNING", "ERROR-PASSIVE"}:
-        result.add("bus controller", Status.WARN, found, f"{wiring}; is any other node there to acknowledge?")
+        result.add("bus controller", Status.WARN, found, f"{wiring}; check that another node is there to acknowledge")
     elif state == "BUS-OFF":
         restart = f"{wiring}; then sudo ip link set {channel} type can restart"
         result.add("bus controller", Status.FAIL, found, restart)
@@ -173,7 +173,7 @@ def _check_state(channel: str, data: dict[str, Any], statistics: dict[str, Any],
 def _check_frames(channel: str, link: dict[str, Any], result: CanInterface, *, fd: bool) -> None:
     size = _number(link.get("mtu"))
     if size is None:
-        result.add("frames", Status.SKIP, "ip does not tell the interface's mtu")
+        result.add("frames", Status.SKIP, "ip does not report the interface's mtu")
     elif fd and size < _FD_MTU:
         result.add(
             "frames", Status.FAIL, f"bus.fd is true, but {channel} carries classic frames only (mtu {size:g})",
@@ -188,7 +188,7 @@ def _check_frames(channel: str, link: dict[str, Any], result: CanInterface, *, f
 def _check_modes(channel: str, data: dict[str, Any], result: CanInterface) -> None:
     listed = data.get("ctrlmode")
     modes = [str(mode) for mode in listed] if isinstance(listed, list) else []
-    found = ", ".join(modes) if modes else "classic CAN, nothing special"
+    found = ", ".join(modes) if modes else "classic CAN, no special mode"
     for mode, option, why in (
         ("LISTEN-ONLY", "listen-only", "no command would reach the drive"),
         ("LOOPBACK", "loopback", "the controller talks to itself"),
@@ -200,7 +200,7 @@ def _check_modes(channel: str, data: dict[str, Any], result: CanInterface) -> No
     if "ONE-SHOT" in modes or "PRESUME-ACK" in modes:
         option = "one-shot" if "ONE-SHOT" in modes else "presume-ack"
         remedy = f"sudo ip link set {channel} down && sudo ip link set {channel} up type can {option} off"
-        result.add("bus mode", Status.WARN, f"{found}: a command that no node acknowledged is not repeated", remedy)
+        result.add("bus mode", Status.WARN, f"{found}: a command that no node acknowledges is not sent again", remedy)
         return
     result.add("bus mode", Status.OK, found)
 
@@ -209,13 +209,13 @@ def _check_timing(channel: str, data: dict[str, Any], result: CanInterface) -> N
     timing = _table(data, "bittiming")
     rate = _number(timing.get("bitrate", data.get("bittiming_bitrate")))
     if not rate:
-        result.add("bit rate", Status.SKIP, "ip does not tell it: the interface has not been set up yet")
+        result.add("bit rate", Status.SKIP, "ip does not report it: the interface is not set up yet")
         return
     result.bit_rate = int(rate)
     result.add("bit rate", Status.OK, f"{rate / 1e3:g} kbit/s")
     point = _number(timing.get("sample_point"))
     if point is None:
-        result.add("sample point", Status.SKIP, "ip does not tell it")
+        result.add("sample point", Status.SKIP, "ip does not report it")
     elif not _SAMPLE_POINTS[0] <= point <= _SAMPLE_POINTS[1]:
         result.add(
             "sample point",
@@ -231,11 +231,11 @@ def _check_timing(channel: str, data: dict[str, Any], result: CanInterface) -> N
 def _check_restart(channel: str, data: dict[str, Any], result: CanInterface) -> None:
     delay = _number(data.get("restart_ms")) or 0.0
     if not delay:
-        result.add("restart after bus-off", Status.OK, "by hand")
+        result.add("restart after bus-off", Status.OK, "manual")
         return
     result.add(
         "restart after bus-off",
         Status.WARN,
-        f"by itself after {delay:g} ms: a controller with a fault disturbs the bus again and again",
+        f"automatic after {delay:g} ms: a faulty controller disturbs the bus again and again",
         f"sudo ip link set {channel} down && sudo ip link set {channel} up type can restart-ms 0",
     )

@@ -61,7 +61,7 @@ def run_program(arguments: Sequence[str]) -> str:
     except subprocess.TimeoutExpired as error:
         raise OSError(f"{arguments[0]} did not end within 5 s") from error
     if done.returncode != 0:
-        raise OSError(done.stderr.strip() or f"{arguments[0]} ended with {done.returncode}")
+        raise OSError(done.stderr.strip() or f"{arguments[0]} ended with exit code {done.returncode}")
     return done.stdout
 
 

@@ -40,18 +40,18 @@ def folder_finding(
         existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
         mode = existing.stat().st_mode
     except OSError as error:
-        return Finding(name, Status.FAIL, f"{folder} cannot be looked at: {error.strerror}", elsewhere)
+        return Finding(name, Status.FAIL, f"{folder} cannot be examined: {error.strerror}", elsewhere)
     if not stat.S_ISDIR(mode):
-        return Finding(name, Status.FAIL, f"{existing} is no folder", f"remove it, or {elsewhere}")
+        return Finding(name, Status.FAIL, f"{existing} is not a folder", f"remove it, or {elsewhere}")
     if existing == folder and mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-        found = f"{folder} is writable by everybody, who could exchange what lies in it"
+        found = f"everybody can write to {folder} and replace its files"
         return Finding(name, Status.FAIL, found, f"chmod o-w {folder}")
     if not may_write(existing):
-        found = f"{folder} cannot be written" if existing == folder else f"{folder} cannot be made in {existing}"
+        found = f"{folder} cannot be written" if existing == folder else f"{folder} cannot be created in {existing}"
         return Finding(name, Status.FAIL, found, f"change the owner of {existing}, or {elsewhere}")
     free = free_bytes(existing)
-    found = f"{folder}{'' if existing == folder else ', to be made'}, {free >> 20} MiB free"
+    found = f"{folder}{'' if existing == folder else ' (will be created)'}, {free >> 20} MiB free"
     if free >= _SAFE_BYTES:
         return Finding(name, Status.OK, found)
     status = Status.WARN if free >= _LEAST_BYTES else Status.FAIL
-    return Finding(name, status, found, f"make room there, or {elsewhere}")
+    return Finding(name, status, found, f"free space there, or {elsewhere}")

@@ -163,7 +163,7 @@ def judge(measurement: Measurement, tolerated: int) -> Verdict:
     p99_us, worst_us = 1e6 * percentile(ordered, 99.0), 1e6 * percentile(ordered, 100.0)
     missed = f"{measurement.missed or 'no'} tick{'s' if measurement.missed > 1 else ''} missed"
     if measurement.missed:
-        missed += f", at most {measurement.most_missed} in one go (the axis tolerates {tolerated})"
+        missed += f", at most {measurement.most_missed} in a row (the axis tolerates {tolerated})"
     figures = f"{missed}; 99 % came within {_rounded(p99_us)} µs, the worst {_rounded(worst_us)} µs late"
     good = f"good is none missed, {GOOD_P99_SHARE * period_us:g} µs and {GOOD_WORST_SHARE * period_us:g} µs"
     fair = f"fair is {FAIR_P99_SHARE * period_us:g} µs for 99 %, and no trip for missed ticks"

@@ -51,7 +51,7 @@ def kernel_finding(host: Host) -> Finding:
     return Finding(
         "kernel",
         Status.WARN,
-        f"{release}, {kind}: drivers and interrupts may hold a tick up without bound",
+        f"{release}, {kind}: drivers and interrupts may delay a tick without limit",
         "install a kernel with PREEMPT_RT and boot it; on Debian: sudo apt install linux-image-rt-$(dpkg "
         "--print-architecture)",
     )
@@ -69,8 +69,8 @@ def clock_finding(host: Host) -> Finding:
         "clock source",
         Status.WARN,
         f"{clock}, which is slow to read or coarse",
-        "see why the kernel gave up a better one (sudo dmesg | grep -i clocksource); if the processor's counter is "
-        f"sound, boot with tsc=reliable. Available: {host.read(folder / 'available_clocksource') or 'unknown'}",
+        "find out why the kernel rejected a better one (sudo dmesg | grep -i clocksource); if the processor's counter "
+        f"is reliable, boot with tsc=reliable. Available: {host.read(folder / 'available_clocksource') or 'unknown'}",
     )
 
 
@@ -86,7 +86,7 @@ def governor_finding(host: Host) -> Finding:
     return Finding(
         "CPU governor",
         Status.WARN,
-        f"{found}: a processor that has slowed down wakes up and computes more slowly",
+        f"{found}: a processor at a lower frequency wakes up and computes more slowly",
         "sudo cpupower frequency-set --governor performance (package linux-cpupower), at each boot",
     )
 
@@ -100,39 +100,39 @@ def cpus_finding(host: Host, asked: list[int]) -> Finding:
         return Finding("CPUs", Status.SKIP, f"{folder / 'online'} cannot be read")
     numbers = ",".join(map(str, asked))
     if absent := set(asked) - online:
-        found = f"realtime.cpus names {_listed(absent)}, online are {_listed(online)}"
-        return Finding("CPUs", Status.FAIL, found, "name CPUs in realtime.cpus that are online")
+        found = f"realtime.cpus names {_listed(absent)}; online: {_listed(online)}"
+        return Finding("CPUs", Status.FAIL, found, "name only CPUs that are online in realtime.cpus")
     if not asked and isolated:
         return Finding(
             "CPUs",
             Status.WARN,
-            f"{_listed(isolated)} isolated, and not used",
+            f"{_listed(isolated)} isolated, but not used",
             f"realtime.cpus = [{min(isolated)}]",
         )
     if not asked:
-        return Finding("CPUs", Status.OK, f"{_listed(online)} online, none isolated, none asked for")
+        return Finding("CPUs", Status.OK, f"{_listed(online)} online, none isolated, none requested")
     if not set(asked) <= isolated:
         return Finding(
             "CPUs",
             Status.WARN,
-            f"CPU {numbers} asked for, but other processes run there too",
+            f"CPU {numbers} requested, but other processes run there too",
             f"add to the kernel command line: isolcpus={numbers} nohz_full={numbers} (GRUB_CMDLINE_LINUX in "
             "/etc/default/grub, then sudo update-grub), and reboot",
         )
-    tickless = "and without" if set(asked) <= quiet else "but with"
+    tickless = "without" if set(asked) <= quiet else "but with"
     return Finding("CPUs", Status.OK, f"CPU {numbers} isolated, {tickless} the timer interrupt of a busy CPU")
 
 
 def priority_finding(kernel: Kernel, priority: int) -> Finding:
     """Whether the process may have the priority asked for."""
     if not priority:
-        return Finding("priority", Status.SKIP, "realtime.priority is 0: not asked for")
+        return Finding("priority", Status.SKIP, "realtime.priority is 0: not requested")
     limit = kernel.limit(resource.RLIMIT_RTPRIO)
     if kernel.has_capability(CAP_SYS_NICE):
-        return Finding("priority", Status.OK, f"{priority} asked for; CAP_SYS_NICE allows any")
+        return Finding("priority", Status.OK, f"{priority} requested; CAP_SYS_NICE allows any")
     if limit is None or limit >= priority:
-        return Finding("priority", Status.OK, f"{priority} asked for; up to {'99' if limit is None else limit} allowed")
-    found = f"{priority} asked for; up to {limit} allowed (RLIMIT_RTPRIO)"
+        return Finding("priority", Status.OK, f"{priority} requested; up to {'99' if limit is None else limit} allowed")
+    found = f"{priority} requested; up to {limit} allowed (RLIMIT_RTPRIO)"
     return Finding("priority", Status.FAIL, found, priority_remedy(priority))
 
 
@@ -142,7 +142,7 @@ def scheduling_advice(kernel: Kernel, priority: int) -> Finding:
         return Finding("scheduling", Status.OK, f"realtime.priority is {priority}")
     allowed = kernel.has_capability(CAP_SYS_NICE) or kernel.limit(resource.RLIMIT_RTPRIO) != 0
     remedy = f"realtime.priority = {ADVISED_PRIORITY}" + ("" if allowed else f"; {priority_remedy(ADVISED_PRIORITY)}")
-    return Finding("scheduling", Status.WARN, "the loop takes its turn with all other processes", remedy)
+    return Finding("scheduling", Status.WARN, "the loop shares the processor with all other processes", remedy)
 
 
 def throttling_finding(host: Host, priority: int) -> Finding:
@@ -150,7 +150,7 @@ def throttling_finding(host: Host, priority: int) -> Finding:
     path = host.proc / "sys" / "kernel" / "sched_rt_runtime_us"
     text = host.read(path)
     if not priority:
-        return Finding("real-time throttling", Status.SKIP, "realtime.priority is 0: not asked for")
+        return Finding("real-time throttling", Status.SKIP, "realtime.priority is 0: not requested")
     if text is None:
         return Finding("real-time throttling", Status.SKIP, f"{path} cannot be read")
     if text == "0":
@@ -160,8 +160,8 @@ def throttling_finding(host: Host, priority: int) -> Finding:
         return Finding(
             "real-time throttling",
             Status.WARN,
-            "off: a real-time thread that loops for ever takes its CPU away from everybody",
-            "sudo sysctl kernel.sched_rt_runtime_us=950000; the service needs a few per cent only",
+            "off: a real-time thread in an endless loop keeps its CPU from everything else",
+            "sudo sysctl kernel.sched_rt_runtime_us=950000; the service needs only a few per cent",
         )
     period = host.read(path.with_name("sched_rt_period_us")) or "1000000"
     return Finding("real-time throttling", Status.OK, f"{text} of {period} µs for real-time threads")
@@ -170,14 +170,14 @@ def throttling_finding(host: Host, priority: int) -> Finding:
 def memory_finding(kernel: Kernel, *, asked: bool) -> Finding:
     """Whether the process may lock its memory."""
     if not asked:
-        return Finding("locked memory", Status.SKIP, "realtime.lock_memory is false: not asked for")
+        return Finding("locked memory", Status.SKIP, "realtime.lock_memory is false: not requested")
     if kernel.has_capability(CAP_IPC_LOCK):
         return Finding("locked memory", Status.OK, "CAP_IPC_LOCK allows all of it")
     limit = kernel.limit(resource.RLIMIT_MEMLOCK)
     needed = kernel.status_kib("VmSize") + MEMORY_TO_GROW_KIB
     if limit is None or limit >= needed << 10:
         return Finding("locked memory", Status.OK, "unlimited" if limit is None else f"{limit >> 10} KiB allowed")
-    found = f"{limit >> 10} KiB allowed (RLIMIT_MEMLOCK), some {needed} KiB needed"
+    found = f"{limit >> 10} KiB allowed (RLIMIT_MEMLOCK), about {needed} KiB needed"
     return Finding("locked memory", Status.FAIL, found, memory_remedy())
 
 
@@ -226,7 +226,7 @@ def virtualisation_finding(host: Host) -> Finding:
         "virtualisation",
         Status.WARN,
         f"a virtual machine{f' ({product})' if product else ''}: its host decides when its processors run",
-        "drive a machine from real hardware; if it must be a virtual one, give it its own processors (pinned)",
+        "control a machine from real hardware; if it must be a virtual machine, give it pinned processors of its own",
     )
 
 
@@ -238,7 +238,7 @@ def python_finding(version: tuple[int, int], *, free_threaded: bool) -> Finding:
     first, last = TESTED_PYTHONS
     if free_threaded or not first <= version <= last:
         tested = f"{first[0]}.{first[1]} to {last[0]}.{last[1]}"
-        return Finding("Python", Status.WARN, found, f"use CPython {tested} with its usual build, which is tested")
+        return Finding("Python", Status.WARN, found, f"use the default build of CPython {tested}, which is tested")
     return Finding("Python", Status.OK, found)
 
 

@@ -159,7 +159,7 @@ def _cpus(cpus: list[int], kernel: Kernel) -> Grant:
         "cpus",
         asked,
         _listed(granted),
-        f"the service may not run on CPU {asked} as asked, but on {_listed(granted)}" + (refusal and f" ({refusal})"),
+        f"the service may run only on CPU {_listed(granted)}, not on {asked} as asked" + (refusal and f" ({refusal})"),
         "set realtime.cpus to CPUs that are online (/sys/devices/system/cpu/online) and that the service's cgroup "
         f"allows (in its unit: AllowedCPUs={asked})",
     )
@@ -169,7 +169,7 @@ def _memory(kernel: Kernel) -> Grant:
     needed = kernel.status_kib("VmSize") + MEMORY_TO_GROW_KIB
     limit = None if kernel.has_capability(CAP_IPC_LOCK) else kernel.limit(resource.RLIMIT_MEMLOCK)
     if limit is not None and limit < needed << 10:
-        refusal = f"{limit >> 10} KiB may be locked, and {needed} KiB are needed with room to grow"
+        refusal = f"{limit >> 10} KiB may be locked, but {needed} KiB are needed, with room to grow"
     else:
         refusal = _try(kernel.lock_memory)
     if not refusal:
@@ -197,7 +197,7 @@ def _scheduling(priority: int, kernel: Kernel) -> Grant:
     remedy = priority_remedy(priority)
     if kernel.has_capability(CAP_SYS_NICE):  # then it is not a privilege that is missing
         remedy = (
-            "the process has CAP_SYS_NICE: its cgroup has no real-time budget (CONFIG_RT_GROUP_SCHED); boot with "
+            "the process has CAP_SYS_NICE, so its cgroup has no real-time budget (CONFIG_RT_GROUP_SCHED); boot with "
             "rt_group_sched=0, or give the cgroup one in cpu.rt_runtime_us"
         )
     warning = f"the loop is not scheduled as {asked}" + (refusal and f": {refusal}")

@@ -29,22 +29,20 @@ def service_manager_finding(host: Host, longest_end_s: float) -> Finding:
     try:
         shown = dict(line.partition("=")[::2] for line in host.run(command).splitlines())
     except OSError as error:
-        why = (
-            "there is no systemd here" if isinstance(error, FileNotFoundError) else f"systemd cannot be asked: {error}"
-        )
+        why = "this host has no systemd" if isinstance(error, FileNotFoundError) else f"systemctl failed: {error}"
         return Finding(_NAME, Status.SKIP, why)
     if shown.get("LoadState") != "loaded":
-        return Finding(_NAME, Status.SKIP, f"there is no {UNIT} here")
+        return Finding(_NAME, Status.SKIP, f"{UNIT} is not installed")
     waits_s = seconds(shown.get("TimeoutStopUSec", ""))
     if waits_s is None:
-        return Finding(_NAME, Status.SKIP, f"systemd does not say how long it waits for {UNIT} to end")
-    found = f"{UNIT} may take {longest_end_s:g} s to end, systemd waits for {waits_s:g} s (TimeoutStopSec=)"
+        return Finding(_NAME, Status.SKIP, f"systemd does not report how long it waits for {UNIT} to end")
+    found = f"{UNIT} may take {longest_end_s:g} s to end; systemd waits for {waits_s:g} s (TimeoutStopSec=)"
     if waits_s >= longest_end_s:
         return Finding(_NAME, Status.OK, found)
     if shown.get("NotifyAccess") not in {"none", "", None}:
-        return Finding(_NAME, Status.OK, f"{found}, and longer when the service asks for it")
+        return Finding(_NAME, Status.OK, f"{found}, and longer if the service asks for it")
     return Finding(
-        _NAME, Status.WARN, f"{found}, then kills it, and takes no notification that asks for more",
+        _NAME, Status.WARN, f"{found}, then kills it, and ignores its requests for more time",
         f"`systemctl edit {UNIT}`: [Service] NotifyAccess=main, or TimeoutStopSec={longest_end_s:g}; or lower "
         "service.shutdown_timeout_ms",
     )  # fmt: skip

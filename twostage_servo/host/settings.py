@@ -15,32 +15,32 @@ class RealtimeSettings(Settings):
     busy_wait: Literal["off", "auto"] | float = quantity(
         "auto",
         unit="µs",
-        description="How long before a tick to wake up and wait busily: off, auto (from the host), or up to 1000 µs",
+        description="How long before a tick to wake up and busy-wait: off, auto (from the host), or up to 1000 µs",
         union_mode="left_to_right",
     )
     output_offset: Literal["off", "auto"] | float = quantity(
         "auto",
         unit="µs",
-        description="How long after the deadline of a tick its commands leave, so that their interval is even: "
-        "off (as soon as they are ready), auto (learnt; off if busy_wait is), or up to 1000 µs",
+        description="How long after the deadline of a tick its commands are sent, for even intervals: "
+        "off (as soon as they are ready), auto (adapts; off if busy_wait is off), or up to 1000 µs",
         union_mode="left_to_right",
     )
     priority: int = quantity(
         0,
         unit="1",
-        description="SCHED_FIFO priority of the loop's thread; 0 leaves the scheduling as it is",
+        description="SCHED_FIFO priority of the loop's thread; 0 keeps the scheduling unchanged",
         ge=0,
         le=99,
     )
     cpus: list[int] = Field(
         default_factory=list,
-        description="CPUs that the service may run on; empty leaves that as it is",
+        description="CPUs that the service may run on; empty keeps them unchanged",
         max_length=1024,
     )
-    lock_memory: bool = Field(False, description="Keep the whole process in memory, so that no tick waits for a disk")
+    lock_memory: bool = Field(False, description="Keep the whole process in memory, so that no tick waits for the disk")
     collect_garbage: Literal["between_ticks", "python"] = Field(
         "between_ticks",
-        description="When Python looks for cyclic garbage: in the idle time after a tick, or whenever it likes",
+        description="When Python collects cyclic garbage: in the idle time after a tick, or at any time",
     )
 
     @field_validator("busy_wait", "output_offset")
@@ -54,7 +54,7 @@ class RealtimeSettings(Settings):
     @classmethod
     def _are_numbers_of_cpus(cls, cpus: list[int]) -> list[int]:
         if any(not 0 <= cpu <= 8191 for cpu in cpus):
-            raise ValueError("a CPU is named by its number from 0 on, as in /proc/cpuinfo")
+            raise ValueError("name a CPU by its number, 0 or greater, as in /proc/cpuinfo")
         if len(set(cpus)) < len(cpus):
             raise ValueError("a CPU is named twice; name each once")
         return sorted(cpus)

@@ -115,7 +115,7 @@ class AxisLoop:
         self._dropped_in_a_row = 0 if sent else self._dropped_in_a_row + 1
         if self._dropped_in_a_row >= _DROPPED_IN_A_ROW:
             self.axis.raise_trip(
-                TripCode.COMMANDS_DROPPED, f"the bus has not taken {self._dropped_in_a_row} commands in a row"
+                TripCode.COMMANDS_DROPPED, f"the bus did not accept {self._dropped_in_a_row} commands in a row"
             )
         arrived_s = self.receiver.arrived_s
         if sent and arrived_s is not None and self._sent_s is not None:
@@ -152,7 +152,7 @@ class AxisLoop:
         """Tell the drive to disable, as the last thing before the service ends."""
         if self.bus.send(tick_index, self._prepared(NO_EFFORT)) is not True:
             text = "the drive could not be told to disable; only its own command time-out stops it"
-            structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus takes no frame")
+            structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus accepts no frame")
 
     def report_if_not_disabled(self) -> bool:
         """Return whether the drive was never seen disabled before the service ends; log it if so."""

@@ -30,7 +30,7 @@ _PAUSE_S: Final = 1.0
 _NO_ROOM: Final = frozenset({errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM})
 _NO_PLACE: Final = answers.failure(
     RefusalCode.TOO_MANY_CLIENTS,
-    f"{MOST} clients are the most, and too many others wait for a place. Connect again; "
+    f"at most {MOST} clients are served, and too many others wait for a place. Connect again; "
     "`ss -xp` shows which processes hold the others",
 )
 _BETWEEN_REPORTS_S: Final = 1.0

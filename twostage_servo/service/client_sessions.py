@@ -26,7 +26,7 @@ _SILENT_TICKS: Final = 10
 """Ticks without a request after which a client is no flood."""
 _TOO_MANY: Final = answers.failure(
     RefusalCode.TOO_MANY_CLIENTS,
-    f"{MOST} clients are the most, and this one was idle the longest. Connect again; "
+    f"at most {MOST} clients are served, and this one was idle the longest. Connect again; "
     "`ss -xp` shows which processes hold the others",
 )
 _MOST_DROPPED: Final = 64

@@ -62,5 +62,5 @@ class DisabledReport:
         limit = axis.settings.limits.innovation_gate
         if self._moved is None or (tick_index >= self._next_motion and abs(moved - self._moved) > limit):
             self._moved, self._next_motion = moved, tick_index + self._every
-            text = "the axis moves while its drive is told to be disabled"
+            text = "the axis moves although its drive was told to disable"
             self._log.warning(text, tick=tick_index, moved=round(moved, 6), unit=axis.settings.unit)

@@ -69,6 +69,6 @@ class EventLog:
             self._log.error("trip", tick=tick.index, code=trip.code, cause=trip.cause, next_action=trip.next_action)
         self._trip = trip
         for later in list(axis.trips.values())[self._told :]:
-            event = "trip, more severe" if later is axis.escalation else "trip, as well"
+            event = "more severe trip" if later is axis.escalation else "further trip"
             self._log.error(event, tick=later.tick, code=later.code, cause=later.cause)
         self._told = max(1, len(axis.trips))

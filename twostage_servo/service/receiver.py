@@ -124,9 +124,9 @@ def _record_foreign(foreign: ForeignCommand, axis: "Axis") -> None:
     """Record a command that is not ours in the axis, with what it asks for as far as that can be read."""
     command = foreign.command
     if command is None:
-        axis.record_foreign_command(f"{foreign.frame}, which is no valid command ({foreign.rejected})")
+        axis.record_foreign_command(f"{foreign.frame}, which is not a valid command ({foreign.rejected})")
         return
     enables = command.effort != 0.0 if command.enable is None else command.enable
     unit = axis.settings.effort_unit
-    asks = f"asks for an effort of {command.effort:.4g} {unit}" if enables else "disables the drive"
+    asks = f"commands an effort of {command.effort:.4g} {unit}" if enables else "disables the drive"
     axis.record_foreign_command(f"{foreign.frame}, which {asks}", enables=enables)

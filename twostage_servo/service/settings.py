@@ -25,11 +25,11 @@ class ServiceSettings(Settings):
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="Least severe log line written")
     recording_s: float = quantity(
-        2.0, unit="s", description="Length of the recording of the last ticks that a trip keeps", ge=0.1, le=600.0
+        2.0, unit="s", description="Length of the recording of the last ticks before a trip", ge=0.1, le=600.0
     )
     trip_folder: str = Field(
         "",
-        description="Folder for a file on each trip; empty for systemd's state directory or the user's own",
+        description="Folder for the trip files; empty for systemd's state directory or the user's own",
         max_length=1000,
         pattern=r"^[^\x00-\x1f]*$",
     )
@@ -40,8 +40,8 @@ class ServiceSettings(Settings):
     shutdown_timeout_ms: float = quantity(
         800.0,
         unit="ms",
-        description="Longest braking when the service is asked to end; the drive is disabled then at the latest. "
-        "Absent: more, where the axes' stops need it",
+        description="Longest time to brake when the service ends; the drive is disabled at the end of it. "
+        "If absent, longer if the axes need it to stop",
         ge=0.0,
         le=60_000.0,
     )

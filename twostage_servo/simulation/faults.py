@@ -72,7 +72,7 @@ class DriveFaults:
 
     def __post_init__(self) -> None:
         if self.effort_limit is not None and not self.effort_limit >= 0.0:
-            raise ValueError(f"effort_limit {self.effort_limit}: limits the magnitude of the effort, give 0 or more")
+            raise ValueError(f"effort_limit {self.effort_limit}: it limits the magnitude of the effort, set 0 or more")
         if not isfinite(self.load):
             raise ValueError(f"load {self.load}: must be finite")
         if not isfinite(self.effort_while_disabled):

@@ -98,7 +98,7 @@ class DriveNode:
         if drive.counters.command_timeouts != self._timeouts_reported:
             self._timeouts_reported = drive.counters.command_timeouts
             _log.warning(
-                "simulated drive: no command in time, disabled at %.3f, coasting at %.1f a second",
+                "simulated drive: no command in time, disabled at %.3f, coasting at %.1f per second",
                 drive.position,
                 drive.velocity,
             )

@@ -69,7 +69,7 @@ class TruePlant:
             If a parameter is out of its range. Nothing has then changed.
         """
         if not (isfinite(gain) and gain != 0 and isfinite(pole) and pole > 0):
-            raise ValueError(f"plant with gain {gain} and pole {pole}: not 0 and above 0 are needed")
+            raise ValueError(f"plant with gain {gain} and pole {pole}: gain must not be 0, pole must be above 0")
         if not (isfinite(coulomb_friction) and coulomb_friction >= 0):
             raise ValueError(f"plant with friction {coulomb_friction}: must be finite and not negative")
         self._gain = gain

@@ -29,7 +29,7 @@ class SimulationSettings(Settings):
         0.0, unit="effort unit", description="Constant load; positive opposes positive effort.", ge=-1e6, le=1e6
     )
     load_at_s: float = quantity(
-        0.0, unit="s", description="When the load sets in, counted from the start of the drive.", ge=0, le=1e9
+        0.0, unit="s", description="Time from the start of the drive until the load sets in.", ge=0, le=1e9
     )
     initial_position: float = quantity(
         0.0, unit="axis unit", description="True position at the start of the drive.", ge=-1e9, le=1e9
@@ -42,7 +42,7 @@ class SimulationSettings(Settings):
     home_switch_to: float | None = _place("The home switch is active from here down; absent: none.")
     index_at: float | None = _place("True position of an index mark of the encoder; absent: none.")
     index_pitch: float = quantity(
-        0.0, unit="axis unit", description="Distance from index mark to index mark; 0 for a single one.", ge=0, le=1e9
+        0.0, unit="axis unit", description="Distance between index marks; 0 for a single mark.", ge=0, le=1e9
     )
     noise_std: float = quantity(
         0.0,
@@ -111,7 +111,7 @@ class SimulationSettings(Settings):
     @classmethod
     def _none_or_sensible(cls, value: float) -> float:
         if 0.0 < value < 1e-9:
-            raise ValueError("smaller than 1e-9 is no resolution of an encoder; 0 for one without steps")
+            raise ValueError("the resolution of an encoder must be at least 1e-9, or 0 for one without steps")
         return value
 
     @model_validator(mode="after")
@@ -127,7 +127,7 @@ class SimulationSettings(Settings):
         if (self.home_switch_from is None) != (self.home_switch_to is None):
             raise ValueError("home_switch_from and home_switch_to are the two ends of one switch: give both or neither")
         if self.index_pitch and self.index_at is None:
-            raise ValueError(f"index_pitch = {self.index_pitch:g} without index_at: say where one of the marks is")
+            raise ValueError(f"index_pitch = {self.index_pitch:g} without index_at: set it to the position of one mark")
         for stop, sign in ((self.hard_stop_minimum, -1.0), (self.hard_stop_maximum, 1.0)):
             if stop is not None and (self.initial_position - stop) * sign > 0.0:
                 raise ValueError(f"initial_position = {self.initial_position:g} is beyond the hard stop at {stop:g}")

@@ -30,8 +30,8 @@ class Sample(NamedTuple):
     """One tick as the loop saw it."""
 
     tick: Annotated[int, Column("", "Index of the tick: whole periods since the service started")]
-    missed: Annotated[int, Column("", "Ticks that were missed since the one before")]
-    lateness_us: Annotated[float, Column("µs", "How long after its deadline the tick began")]
+    missed: Annotated[int, Column("", "Ticks missed since the previous one")]
+    lateness_us: Annotated[float, Column("µs", "Time from the deadline of the tick to its start")]
     state: Annotated[State, Column("", "State of the axis")]
     measured_position: Annotated[float | None, Column("axis unit", "Newest position that the drive reported")]
     position: Annotated[float, Column("axis unit", "Estimated position")]
@@ -40,7 +40,7 @@ class Sample(NamedTuple):
     effort: Annotated[float, Column("effort unit", "Effort that was sent")]
     target: Annotated[float, Column("axis unit", "Set-point in force")]
     speed_reference: Annotated[float, Column("axis unit/s", "Velocity that the law asks for")]
-    following_error: Annotated[float, Column("axis unit", "Distance from where the axis should be")]
+    following_error: Annotated[float, Column("axis unit", "Distance of the axis from its nominal response")]
     time_s: Annotated[float, Column("s", "When the tick was due, since the service started")]
 
 

@@ -115,7 +115,7 @@ class TripFiles:
 
     def fail(self, name: str, error: BaseException, file: TripFile) -> None:
         """Tell that a file could not be written, and why."""
-        why = str(error) or ("no memory is left" if isinstance(error, MemoryError) else type(error).__name__)
+        why = str(error) or ("out of memory" if isinstance(error, MemoryError) else type(error).__name__)
         self.error = f"no trip file can be written in {self.folder}: {why}"
         file.fail(self.error)
         self._log.error("no trip file", trip=name, error=self.error)

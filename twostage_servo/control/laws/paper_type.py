@@ -12,7 +12,7 @@ class PaperSettings(Settings):
     """How the gains of the two-stage law are found."""
 
     performance_index_ratio: float = quantity(
-        5.0e-5, unit="1", description="Q/R of the optimal design, larger is quicker", ge=1e-12, le=1e6
+        5.0e-5, unit="1", description="Q/R of the optimal design, larger is faster", ge=1e-12, le=1e6
     )
 
 

@@ -89,7 +89,7 @@ class Compiler:
             raise ProtocolError(
                 ("axis", "unit"),
                 f"{self._source}: {table.position} is in {position.unit!r}, the axis in {axis_unit!r}. "
-                f"Set axis.unit to {position.unit!r}, or position_scale to the {axis_unit} in one {position.unit}.",
+                f"Set axis.unit to {position.unit!r}, or position_scale to the {axis_unit} per {position.unit}.",
             )
         roles = _roles(
             layout,
@@ -118,12 +118,12 @@ class Compiler:
             if effort.minimum >= 0.0 or effort.maximum <= 0.0:
                 raise ValueError(
                     f"{self._source}, signal {table.effort}: its range {effort.minimum} to {effort.maximum} does not "
-                    "hold effort of both signs. Name a signed signal or correct its limits in the DBC."
+                    "include effort of both signs. Name a signed signal or correct its limits in the DBC."
                 )
             if effort.decode(effort.encode(0.0)) != 0.0:
                 raise ValueError(
-                    f"{self._source}, signal {table.effort}: cannot hold 0 exactly, the drive could never be told "
-                    "to stop. Correct its scale and offset in the DBC."
+                    f"{self._source}, signal {table.effort}: cannot represent 0 exactly, so no command could "
+                    "stop the drive. Correct its scale and offset in the DBC."
                 )
         roles = _roles(layout, "command", table, flag=("enable",), count=("counter",))
         constants = 0
@@ -138,7 +138,7 @@ class Compiler:
         if layout.unused_signals:
             raise ProtocolError(
                 ("protocol", "command", "constants"),
-                f"{self._source}, message {table.message}: nothing says what to send in "
+                f"{self._source}, message {table.message}: there is no value to send in "
                 f"{', '.join(layout.unused_signals)}. Give each a value under command.constants.",
             )
         return frame, roles | {"effort": effort}, constants
@@ -191,7 +191,7 @@ class Compiler:
         largest = 0x1FFFFFFF if identifier.extended else 0x7FF
         if shifted.identifier > largest:
             raise ValueError(
-                f"{self._source}, message {message}: {identifier} with this offset is more than 0x{largest:X}, the "
+                f"{self._source}, message {message}: {identifier} with this offset exceeds 0x{largest:X}, the "
                 "largest identifier of its kind"
             )
         return shifted

@@ -12,7 +12,7 @@ from twostage_servo.drives.frame import FrameRejected, ReceivedFrame
 from twostage_servo.drives.start_up import StartUpStep
 
 _NO_START_UP: Final[Sequence[StartUpStep]] = ()
-_DEAD_HOST: Final = "by its command time-out, which no DBC describes; set it in the drive"
+_DEAD_HOST: Final = "by its command time-out, which a DBC does not describe; set it in the drive"
 
 
 class DbcDrive:

@@ -33,7 +33,7 @@ def _check_unchanged(settings: ProtocolSettings, folder: Path, traits: DriveTrai
     from twostage_servo.drives.dbc.compiler import dbc_digest
 
     if dbc_digest(settings.dbc, folder) != traits.digest:
-        text = "the content of the DBC file has changed: only a restart of the service can follow that"
+        text = "the content of the DBC file has changed: restart the service to apply that"
         raise ProtocolError(("protocol", "dbc"), text)
 
 

@@ -65,7 +65,7 @@ class MessageCodec:
             )
         if self.length > 8 and self.length not in _FD_LENGTHS:
             raise ValueError(
-                f"{self._where}: no CAN FD frame has {self.length} bytes. Those above 8 have "
+                f"{self._where}: no CAN FD frame has {self.length} bytes. Lengths above 8 are "
                 f"{', '.join(map(str, _FD_LENGTHS))}."
             )
         try:

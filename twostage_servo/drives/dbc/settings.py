@@ -19,11 +19,11 @@ class FeedbackSettings(Settings):
     position_scale: float = quantity(
         1.0,
         unit="axis unit per DBC unit",
-        description="Multiplies the position of the DBC; negative turns the direction round",
+        description="Multiplies the position of the DBC; negative reverses the direction",
     )
     enabled: Role = Field("Enabled", description="Signal that is 1 while the drive is enabled; false: none")
     fault: Role = Field("Fault", description="Signal that is 1 while the drive has a fault; false: none")
-    fault_code: Role = Field("FaultCode", description="Signal that says which fault; false: none")
+    fault_code: Role = Field("FaultCode", description="Signal with the code of the fault; false: none")
     command_timeout: Role = Field(
         "CommandTimeout", description="Signal that is 1 after the drive stopped because commands ceased; false: none"
     )
@@ -41,8 +41,8 @@ class FeedbackSettings(Settings):
     checksum: Role = Field("Checksum", description="Signal with the checksum byte; false: none")
     sampling: Literal["on_command", "cyclic"] = Field(
         "on_command",
-        description="When the drive samples: as it takes the command that it answers, or at a rhythm of its own, so "
-        "that the time of arrival dates the sample",
+        description="When the drive samples: as it receives the command that it answers, or on its own clock, so "
+        "that the arrival time dates the sample",
     )
 
     @field_validator("position_scale")
@@ -94,14 +94,14 @@ class ProtocolSettings(DriveSettings):
     identifier_offset: int = quantity(
         0,
         unit="1",
-        description="Added to the identifiers of the DBC, such as a node's number: drives of one kind on one bus",
+        description="Added to the identifiers of the DBC, for example a node number: for drives of one kind on one bus",
         ge=0,
         le=0x1FFFFFFF,
     )
     checksum: Literal["crc8_j1850", "xor8", "sum8", "none"] = Field(
         "crc8_j1850", description="Algorithm of the checksum bytes"
     )
-    feedback: FeedbackSettings = Field(FeedbackSettings(), description="Message that brings position and status")
-    command: CommandSettings = Field(CommandSettings(), description="Message that takes the effort to the drive")
-    index: IndexSettings = Field(IndexSettings(), description="Message that brings the latched index position")
-    heartbeat: HeartbeatSettings = Field(HeartbeatSettings(), description="Message that says the drive's state")
+    feedback: FeedbackSettings = Field(FeedbackSettings(), description="Message with position and status")
+    command: CommandSettings = Field(CommandSettings(), description="Message with the effort")
+    index: IndexSettings = Field(IndexSettings(), description="Message with the latched index position")
+    heartbeat: HeartbeatSettings = Field(HeartbeatSettings(), description="Message with the drive's state")

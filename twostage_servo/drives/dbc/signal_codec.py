@@ -156,7 +156,7 @@ def count_codec(signal: Signal, shift: int, where: str) -> SignalCodec:
     lowest, highest = _raw_range(signal, where)
     if signal.is_float or signal.is_signed or signal.scale != 1 or signal.offset != 0 or lowest != 0:
         raise ValueError(
-            f"{where}: must be an unsigned integer from 0 on with scale 1 and offset 0, but is "
+            f"{where}: must be an unsigned integer that starts at 0, with scale 1 and offset 0, but is "
             f"{'an IEEE float' if signal.is_float else 'signed' if signal.is_signed else 'unsigned'} with scale "
             f"{signal.scale}, offset {signal.offset} and limits [{signal.minimum}|{signal.maximum}]. "
             "Name another signal or correct the DBC."
@@ -209,8 +209,8 @@ def _raw_range(signal: Signal, where: str) -> tuple[float, float]:
     """Smallest and largest raw value: what the bits hold, within the limits of the DBC (as fractions, hence exact)."""
     if not 0.0 < abs(signal.scale) <= _LARGEST or not abs(signal.offset) <= _LARGEST:
         raise ValueError(
-            f"{where}: scale {signal.scale:g} and offset {signal.offset:g} must be finite, of magnitude {_LARGEST:g} at"
-            " most, and the scale not 0. Correct the DBC."
+            f"{where}: scale {signal.scale:g} and offset {signal.offset:g} must be finite and at most {_LARGEST:g} in "
+            "magnitude, and the scale must not be 0. Correct the DBC."
         )
     scale, offset = Fraction(str(signal.scale)), Fraction(str(signal.offset))
     limits = [
@@ -228,7 +228,7 @@ def _raw_range(signal: Signal, where: str) -> tuple[float, float]:
         highest = highest if high is None else min(highest, math.floor(high))
     if lowest > highest:
         raise ValueError(
-            f"{where}: the limits [{signal.minimum}|{signal.maximum}] leave no value that its bits can hold. "
+            f"{where}: the limits [{signal.minimum}|{signal.maximum}] allow no value that its bits can represent. "
             "Correct the DBC."
         )
     return lowest, highest
@@ -241,7 +241,7 @@ def _or_invalid(encode: Callable[[float], int], invalid: int | None, where: str)
         if math.isfinite(value):
             return encode(value)
         if invalid is None:
-            raise ValueError(f"{where}: cannot send {value}, it has no raw value for an invalid position")
+            raise ValueError(f"{where}: cannot send {value}: it has no raw value for an invalid position")
         return invalid
 
     return encode_any
