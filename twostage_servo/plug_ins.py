@@ -48,7 +48,7 @@ class PlugIns(Generic[KindT]):
         if name not in self._loaded:
             found = self._load(name)
             if not isinstance(found, self._kind):
-                text = f"is no {self._kind.__name__} but {type(found).__name__}: its package is wrong"
+                text = f"is a {type(found).__name__}, not a {self._kind.__name__}: correct its package"
                 raise UnknownPlugInError(f"the {self._what} {name!r} {text}")
             self._loaded[name] = found
         return self._loaded[name]

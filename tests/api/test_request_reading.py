@@ -221,7 +221,7 @@ def test_a_word_of_up_to_40_characters_is_repeated_whole(length: int, shown: str
     assert problem(json.dumps({"op": "stop", length * "k": 1})).startswith(
         f"{shown}: no such key (there are axis, op, quick)"
     )
-    assert problem(json.dumps({"op": length * "k"})).startswith(f"op: {shown} is none; the requests are ")
+    assert problem(json.dumps({"op": length * "k"})).startswith(f"op: {shown} is not a request; the requests are ")
 
 
 def test_what_is_no_request_is_told_in_the_words_of_whoever_wrote_it() -> None:

@@ -103,7 +103,7 @@ def test_a_switch_that_is_open_at_rest_has_been_passed_or_flickered() -> None:
     bench.at(99.0)
     bench.drive.home_switch = False
     bench.at(98.0)
-    with pytest.raises(HomingFailed, match="overran it, or it only flickered"):
+    with pytest.raises(HomingFailed, match="overran it, or the switch only flickered"):
         bench.at(97.0, Stage.POSITION)
 
 

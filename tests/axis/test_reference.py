@@ -226,7 +226,7 @@ def test_a_spike_is_not_taken_for_where_the_axis_stands(height: float, *, armed:
         rig.armed()
     rig.sample += height
     rig.tick()
-    with pytest.raises(Refused, match="ask again") as refused:
+    with pytest.raises(Refused, match="try again") as refused:
         rig.axis.set_position(0.0)
     assert refused.value.code == "busy"
     rig.tick()

@@ -37,7 +37,7 @@ def test_an_axis_may_be_armed_in_the_second_disabled_tick_in_which_it_is_seen() 
     rig = AxisRig()
     assert (rig.axis.ready_to_arm, rig.axis.cia402_state) == (False, "switch on disabled")
     rig.tick()
-    assert rig.axis.obstacle_to_arming() == ("still_enabled", "the drive is still being disabled: ask again.")
+    assert rig.axis.obstacle_to_arming() == ("still_enabled", "the drive is still being disabled: try again.")
     assert rig.axis.cia402_state == "switch on disabled"
     rig.tick()
     assert (rig.axis.ready_to_arm, rig.axis.cia402_state) == (True, "ready to switch on")

@@ -63,7 +63,7 @@ class FakeBus(can.BusABC):
 
 @pytest.fixture
 def opened_with(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
-    """Take the place of can.Bus; returns the arguments that it was called with, and under "bus" what it made."""
+    """Replace can.Bus; returns the arguments that it was called with, and under "bus" what it made."""
     arguments: dict[str, Any] = {}
 
     def bus(**kwargs: Any) -> can.BusABC:

@@ -99,7 +99,7 @@ def test_an_interface_that_can_carry_no_frame_says_why(
 
 
 class FakeSocketcan(FakeBus):
-    """Takes the place of python-can's SocketCAN bus, over a socket of another kind."""
+    """Replaces python-can's SocketCAN bus, over a socket of another kind."""
 
     def __init__(self, opened: socket.socket) -> None:
         self.socket = opened

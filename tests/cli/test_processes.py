@@ -125,7 +125,7 @@ class Machine:
     def ask_disarmed(self, *arguments: str) -> dict[str, Any]:
         """Ask as often as an operator is told to: a host that has just missed a tick does not know the speed."""
         for _ in range(MOST_ATTEMPTS):
-            if "ask again" not in (done := self.call(*arguments)).stdout:
+            if "try again" not in (done := self.call(*arguments)).stdout:
                 break
         assert done.returncode == 0, done
         answer: dict[str, Any] = json.loads(done.stdout)

@@ -38,7 +38,7 @@ def test_what_looks_like_a_slip_is_no_number(verb: list[str], slip: str, capsys:
     with pytest.raises(SystemExit) as ended:
         build_parser().parse_args([*verb, slip])
     assert ended.value.code == 2
-    assert "no number such as 400" in capsys.readouterr().err or slip.startswith("- ")
+    assert "not a number such as 400" in capsys.readouterr().err or slip.startswith("- ")
 
 
 @pytest.mark.parametrize("slip", ["1_0", "\u0661", "1.0", "1e1", "9" * 5000])

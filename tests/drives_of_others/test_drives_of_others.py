@@ -132,7 +132,7 @@ def test_a_table_without_a_type_is_that_of_a_dbc(tmp_path: Path) -> None:
     [
         ("node = node_drive:GONE", "cannot be loaded from node_drive:GONE"),
         ("node = no_such_module:DRIVE", "cannot be loaded from no_such_module:DRIVE: No module"),
-        ("node = node_drive:NodeDrive", "is no DriveType but"),
+        ("node = node_drive:NodeDrive", ", not a DriveType: correct its package"),
     ],
 )
 def test_a_package_that_is_broken_is_told_as_a_wrong_key(

@@ -111,7 +111,7 @@ def test_the_older_place_of_the_ratio_means_the_same() -> None:
     [
         ("broken = cascade_law:NOTHING", "cannot be loaded from cascade_law:NOTHING: module"),
         ("broken = no_such_module:LAW", "cannot be loaded from no_such_module:LAW: No module named"),
-        ("broken = cascade_law:design", "is no LawType but function"),
+        ("broken = cascade_law:design", "is a function, not a LawType"),
     ],
 )
 def test_a_package_that_is_broken_is_told(

@@ -71,7 +71,7 @@ def test_a_held_axis_does_not_swing_on_feedback_that_waits_behind_foreign_frames
         assert world.axis.trip.tick - begun <= 5
         cause = world.axis.trip.cause
         assert f"stopped at {most(world)} frames (bus.max_frames_per_tick)" in cause
-        assert "the last 2 reads began with a backlog" in cause
+        assert "the last 2 reads each began with a backlog" in cause
         assert world.state() is State.TRIPPED
         assert farthest < 40.0  # 3 V for 2 s, which nothing holds once the drive is off
         shown = world.loop.snapshot()

@@ -53,7 +53,7 @@ def quiet_log() -> None:
 
 class _Nowhere:
     def msg(self, line: str) -> None:
-        """Take a line."""
+        """Discard a line."""
 
     log = debug = info = warning = error = critical = msg
 

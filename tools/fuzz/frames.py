@@ -276,7 +276,7 @@ class _Attack:
         return self._message(kind, kind.repaired(bytearray(self.rng.randbytes(kind.message.length))))
 
     def _cut(self) -> can.Message:
-        """Take any number of bytes from 0 to 64, and a DLC that need not be theirs."""
+        """Return a frame of 0 to 64 bytes, with a DLC that need not be theirs."""
         kind, data = self.rng.choice(self._pool)
         rng = self.rng
         length = rng.randrange(9) if rng.getrandbits(2) else rng.randrange(65)

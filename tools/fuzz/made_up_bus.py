@@ -47,7 +47,7 @@ class MadeUpBus(can.BusABC):
         self._is_empty = True
 
     def recv(self, timeout: float | None = None) -> can.Message | None:  # noqa: ARG002 - never waits
-        """Take the next frame."""
+        """Return the next frame."""
         if self.now_s != self._drained_s:  # the first of a drain
             self.before_s, self._drained_s = self._drained_s, self.now_s
             self.is_behind, self._is_empty = not self._is_empty, False

@@ -19,7 +19,7 @@ _MOST_TICKS_TO_REST = 150
 
 
 class CodecTarget:
-    """Takes three bytes (message, checksum and length, kind of frame) and then the data of a frame."""
+    """Decodes three bytes (message, checksum and length, kind of frame) and then the data of a frame."""
 
     def __init__(self) -> None:
         by_layout = {drive.loaded.config.protocol.model_dump_json(): drive for drive in all_drives()}
@@ -56,7 +56,7 @@ class CodecTarget:
 
 
 class SocketTarget:
-    """Takes a byte, how many ticks pass between two lines, and then lines.
+    """Sends lines of a control socket; the input is a byte, how many ticks pass between two lines, then the lines.
 
     One service runs on; before each input its axis is brought to hold again, so that an input gives the same alone.
     """

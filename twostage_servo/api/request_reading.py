@@ -74,7 +74,7 @@ def read_request(fields: object) -> Request:
     op = fields.get("op")
     model = OPERATIONS.get(op) if isinstance(op, str) else None
     if model is None:
-        named = f"{shortened(op)} is none" if isinstance(op, str) else "it must name the request"
+        named = f"{shortened(op)} is not a request" if isinstance(op, str) else "it must name the request"
         raise BadRequestError(f"op: {named}; the requests are {', '.join(OPERATIONS)}")
     problems = list(itertools.islice(_problems(fields, model), MOST_PROBLEMS))
     if problems:

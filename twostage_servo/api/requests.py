@@ -136,7 +136,7 @@ class ResetRequest(AxisRequest):
 
 
 class MoveRequest(AxisRequest):
-    """Take a set-point: `position` or, relative to the set-point in force, `by`; or one for several axes together.
+    """Move to a set-point: `position` or, relative to the set-point in force, `by`; or several axes together.
 
     With `positions` the axes set out in the same tick, and all but the one that takes longest move more slowly, so that
     they arrive together.
@@ -204,13 +204,13 @@ class ReleaseRequest(_Request):
 
 
 class AcquireRequest(_Request):
-    """Take control authority that nobody else holds."""
+    """Acquire control authority that nobody else holds."""
 
     op: ClassVar[str] = "acquire"
 
 
 class PreemptRequest(_Request):
-    """Take control authority, also from another client while the axis is at rest."""
+    """Acquire control authority, also from another client while the axis is at rest."""
 
     op: ClassVar[str] = "preempt"
 

@@ -75,7 +75,7 @@ class FrameHash:
         self._hash = hashlib.sha256()
 
     def observe(self, tick_index: int, direction: str, identifier: int, data: bytes) -> None:
-        """Take a frame in."""
+        """Add a frame to the hash."""
         self._hash.update(struct.pack("<q?IB", tick_index, direction == "sent", identifier, len(data)) + data)
 
     def hexdigest(self) -> str:

@@ -129,17 +129,18 @@ class Admission:
             raise Refused(
                 RefusalCode.POSITION_LIMIT,
                 f"the axis cannot stand at {exact(position)} {unit}: with limits of {limits.position_minimum:g} to "
-                f"{limits.position_maximum:g} {unit} and an overrun of {limits.position_overrun:g} {unit} its place "
+                f"{limits.position_maximum:g} {unit} and an overrun of {limits.position_overrun:g} {unit} its position "
                 f"must lie from {limits.position_minimum - overrun:.6g} to "
                 f"{limits.position_maximum + overrun:.6g} {unit}.",
             )
         if self._drive.position is None or self._drive.is_stale:
             raise Refused(RefusalCode.NO_FEEDBACK, "there is no fresh feedback from the drive.")
         if velocity is None:
-            raise Refused(RefusalCode.BUSY, "it is not known yet whether the axis is at rest: ask again.")
+            raise Refused(RefusalCode.BUSY, "it is not known yet whether the axis is at rest: try again.")
         if abs(velocity) > rest_velocity:
             raise Refused(
-                RefusalCode.BUSY, f"the axis moves at {velocity:.4g} {self._unit}/s: set its position only at rest."
+                RefusalCode.BUSY,
+                f"the axis moves at {velocity:.4g} {self._unit}/s: bring it to rest before you set its position.",
             )
 
 

@@ -56,11 +56,11 @@ class Obstacles:
     def first(self) -> Obstacle | None:
         """Return code and text of what is in the way, or None."""
         if self._disabled_ticks < _DISABLED_TICKS:
-            return RefusalCode.STILL_ENABLED, "the drive is still being disabled: ask again."
+            return RefusalCode.STILL_ENABLED, "the drive is still being disabled: try again."
         if self._count.known.awaits_proof and not self._drive.is_stale:
             return (
                 RefusalCode.HEARTBEAT_LOST,
-                "the drive was silent, and no heartbeat has come since to show whether it rebooted: ask again.",
+                "the drive was silent, and no heartbeat has come since to show whether it rebooted: try again.",
             )
         return self._admission.obstacle_to_arming(referenced=self._reference.source is not None)
 

@@ -60,7 +60,7 @@ class BrakingEstimate:
         self._effort = effort
 
     def apply(self, observer: DisturbanceObserver, *, in_doubt: bool) -> None:
-        """Take into the estimate what its corrections made up for.
+        """Put into the estimate what its corrections compensated for.
 
         Parameters
         ----------

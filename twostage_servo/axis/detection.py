@@ -17,7 +17,7 @@ from twostage_servo.axis.state import State
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trips import RULES
 
-CHANGES = {"turned round": -1.0, "half the scale": 0.5, "twice the scale": 2.0}
+CHANGES = {"reversed": -1.0, "half the scale": 0.5, "twice the scale": 2.0}
 """What the encoder counts after the change, as a multiple of what it should."""
 
 _SETTLING_TICKS = 30
@@ -176,7 +176,7 @@ def _detect(design: AxisDesign, change: str, phase: str, velocity: float) -> Det
     run = _Run(design, velocity)
     for _ in range(_SETTLING_TICKS):
         if run.tick():
-            raise RuntimeError(f"an undisturbed cruise at {velocity:g} is taken for one with a faulty encoder")
+            raise RuntimeError(f"an undisturbed cruise at {velocity:g} is mistaken for one with a faulty encoder")
     if phase == "stopping":
         run.stop()
         for _ in range(design.ticks(1e3 * _STOPPING_S)):

@@ -286,11 +286,11 @@ class DriveReport:
             text = f"another node on the bus commands this drive: {self.foreign}. End the other service or tool first."
             return RefusalCode.FOREIGN_COMMAND, text
         if self.enabled is True:
-            return RefusalCode.STILL_ENABLED, "the drive is not disabled yet: ask again."
+            return RefusalCode.STILL_ENABLED, "the drive is not disabled yet: try again."
         if self.heartbeat.is_awaited:
             return (
                 RefusalCode.HEARTBEAT_LOST,
-                "no heartbeat has come from the drive yet: ask again, or set protocol.heartbeat.message to false.",
+                "no heartbeat has come from the drive yet: try again, or set protocol.heartbeat.message to false.",
             )
         trouble = next(self.troubles(arming=True), None)
         return None if trouble is None else (RefusalCode(trouble[0]), f"{trouble[1]}: remove its cause first.")
@@ -306,8 +306,8 @@ class DriveReport:
         if self.backlog is not None:
             reads, frames = self.backlog
             return (
-                f"; frames arrive faster than they are read: the last {reads} reads began with a backlog, after one "
-                f"that stopped at {frames} frames (bus.max_frames_per_tick), so the age of the {late} feedback frames "
-                "in them is unknown"
+                f"; frames arrive faster than they are read: the last {reads} reads each began with a backlog, because "
+                f"the read before stopped at {frames} frames (bus.max_frames_per_tick), so the age of their {late} "
+                "feedback frames is unknown"
             )
         return f"; {late} feedback frames arrived too late to count" if late else ""

@@ -15,7 +15,7 @@ from twostage_servo.axis.trips import TripCode
 
 
 class DriveWatch:
-    """Takes what the drive sends, and looks once a tick at what that comes to.
+    """Records what the drive sends, and evaluates it once a tick.
 
     Parameters
     ----------

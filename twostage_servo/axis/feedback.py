@@ -63,7 +63,7 @@ class FeedbackMonitor:
         return self._errors + self._errors_now
 
     def accept(self, counter: int | None, *, late: bool = False) -> bool:
-        """Take a frame's counter; return whether the frame is newer than all before it.
+        """Compare a frame's counter with those before; return whether the frame is newer than all of them.
 
         A drive without a counter gives None, and each of its frames is taken for a new one. A late frame is counted
         as such, and is not fresh.

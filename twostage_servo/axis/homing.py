@@ -109,8 +109,8 @@ class Homing:
                 self._seek()
             case _Phase.STOP_BEYOND if at_rest and not self._drive.home_switch:
                 raise HomingFailed(
-                    "the home switch is not active where the axis came to rest: the axis overran it, or it only "
-                    f"flickered; lower axis.homing.velocity, now {self._settings.velocity:g} {self._unit}/s"
+                    "the home switch is not active where the axis came to rest: the axis overran it, or the "
+                    f"switch only flickered; lower axis.homing.velocity, now {self._settings.velocity:g} {self._unit}/s"
                 )
             case _Phase.STOP_BEYOND if at_rest:
                 self._phase = _Phase.BACK_OFF

@@ -29,7 +29,7 @@ class JogTimer:
         self._ticks_left = self._ticks
 
     def bar(self) -> None:
-        """Take no jog before it was let go for its time-out: a stop must outlast the requests that keep a jog going.
+        """Bar jogs until none was asked for during the time-out: a stop must outlast the requests that renew a jog.
 
         For a stop by somebody else than who jogs. Whoever asks blindly, every 100 ms, would set the axis moving again.
         """

@@ -39,7 +39,7 @@ class LawSettings(Settings):
 
     @model_validator(mode="after")
     def _one_place(self) -> Self:
-        """Take Q/R from where it stands, which is one place."""
+        """Read Q/R from the one place where it is set."""
         ratio = self.performance_index_ratio
         if ratio is None:
             return self

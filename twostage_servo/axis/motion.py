@@ -113,7 +113,7 @@ class Motion:
         self._forget()
 
     def set_target(self, target: float, velocity: float) -> None:
-        """Take a set-point in axis unit, with a cruise velocity in axis unit/s."""
+        """Set the target in axis unit, with a cruise velocity in axis unit/s."""
         self.law.set_target(target, velocity)
         self.nominal.set_target(target, velocity)
 

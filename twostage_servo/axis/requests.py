@@ -124,7 +124,7 @@ class Requests:
             self._brake(reason, quick=before is State.QUICK_STOPPING)  # which is not made milder
 
     def move_to(self, target: float, velocity: float) -> Move:
-        """Take a set-point in axis unit and its cruise velocity in axis unit/s; the effort stays continuous.
+        """Begin a move to a set-point in axis unit, at a cruise velocity in axis unit/s; the effort stays continuous.
 
         Raises
         ------
@@ -174,7 +174,7 @@ class Requests:
             raise Refused(
                 RefusalCode.STOPPED,
                 "this axis was stopped by another client: release the jog for "
-                f"{self._settings.jog_timeout_ms:g} ms, check the axis, and ask again.",
+                f"{self._settings.jog_timeout_ms:g} ms, check the axis, and jog again.",
             )
         check.check_velocity(abs(velocity), limits.velocity if self._referenced else self._settings.homing.velocity)
         check.check_state(self._machine.state, Event.JOG, self.present_trip)

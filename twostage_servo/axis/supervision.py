@@ -247,7 +247,7 @@ class Supervision:
             TripCode.SIGN_REVERSED if factor < 0.0 else TripCode.MODEL_MISMATCH,
             (
                 f"{factor:g} times the motion that the model predicts fits the samples far better: {surprise}; "
-                f"{what} of encoder or effort is wrong, or [axis.plant]"
+                f"{what} of encoder or effort is wrong, or the model in [axis.plant]"
             ),
         )
 

@@ -85,7 +85,7 @@ class Tracking:
         self.forget_outlier()
 
     def forget_outlier(self) -> None:
-        """Take the next sample that is not where the model expects it for the first one."""
+        """Treat the next implausible sample as the first one."""
         self.was_outlier = False
 
     def shift(self, distance: float) -> None:

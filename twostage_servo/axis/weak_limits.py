@@ -124,7 +124,7 @@ def _times(design: AxisDesign, *, heartbeat: bool) -> Iterator[WeakLimit]:
         if value > crossing_ms:
             yield WeakLimit(key, value, f"{what}: {_CROSSED.format(crossing_ms)}", "lower it well below that")
     if min(crossing_ms, limits.effort_saturation_ms) < limits.stall_time_ms <= crossing_ms:
-        text = "the trip for a stall: effort_saturation_ms is shorter, so the axis first trips at full effort"
+        text = "the trip for a stall: effort_saturation_ms is shorter, so the trip for saturation comes first"
         yield WeakLimit(("limits", "stall_time_ms"), limits.stall_time_ms, text, "lower it below effort_saturation_ms")
     stale_ticks = design.ticks(limits.stale_feedback_ms)
     most = WINDOW_TICKS * (stale_ticks - 1) / stale_ticks
@@ -198,7 +198,7 @@ def _moves(design: AxisDesign, resolution: float) -> Iterator[WeakLimit]:
         yield WeakLimit(("window", "position"), window, text, f"set at least {resolution:g}")
     approach, homing = settings.approach, settings.homing
     if approach.direction != "either" and approach.distance > _LARGE_SHARE * travel:
-        text = f"short moves: from the other side they first overshoot by it, and the whole travel is {travel:g} {unit}"
+        text = f"short moves: from the other side they first overshoot by this; the whole travel is {travel:g} {unit}"
         yield WeakLimit(("approach", "distance"), approach.distance, text, "set a few times the backlash")
     if homing.method != "set_here" and homing.travel > 2.0 * (travel + settings.limits.position_overrun):
         text = f"the end of a search that finds nothing: the whole travel is {travel:g} {unit}"

@@ -64,7 +64,7 @@ class Hub:
             is_loopback = False
         if not is_loopback:
             raise ValueError(
-                f"the hub serves this machine only: host {self.host!r} is no loopback address, use 127.0.0.1"
+                f"the hub serves this machine only: host {self.host!r} is not a loopback address, use 127.0.0.1"
             )
         loop = asyncio.get_running_loop()
         self._server = await loop.create_server(lambda: _Node(self._nodes, loop), self.host, self.port)

@@ -200,7 +200,7 @@ class Link:
         self._overflowed = overflowed
 
     def drain(self, most: int | None = None) -> list[can.Message]:
-        """Take the frames that have arrived, oldest first, without waiting; see :attr:`is_behind`.
+        """Read the frames that have arrived, oldest first, without waiting; see :attr:`is_behind`.
 
         Parameters
         ----------

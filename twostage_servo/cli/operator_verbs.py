@@ -280,7 +280,7 @@ def _finish(options: argparse.Namespace, status: Status, *, moved: bool = False,
     for one in () if options.json else unseen:
         print_line(
             f"{one.axis.name}: nobody knows whether the drive is off; its own command time-out should have "
-            "stopped it. Look at the axis, and ask again when the drive responds"
+            "stopped it. Look at the axis, and check `status` when the drive responds again"
         )
     if options.verb == "disarm":  # a trip has disabled the drive as well
         return ExitCode.FAILED if unseen or any(map(_may_be_enabled, reports)) else ExitCode.DONE

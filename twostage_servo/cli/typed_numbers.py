@@ -20,7 +20,7 @@ def decimal(text: str) -> float:
         If it is none.
     """
     if not _DECIMAL.fullmatch(text.strip(" ")):
-        raise argparse.ArgumentTypeError(f"{text!r} is no number such as 400, -12.5 or 1e3")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number such as 400, -12.5 or 1e3")
     return float(text)
 
 
@@ -33,7 +33,7 @@ def whole(text: str) -> int:
         If it is none.
     """
     if not _WHOLE.fullmatch(text.strip(" ")):
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number such as 10")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number such as 10")
     try:
         return int(text)
     except ValueError as error:  # of thousands of digits

@@ -102,7 +102,7 @@ class AsyncServoClient:
         return await self._run(self._verbs.recording())
 
     async def acquire(self, *, preempt: bool = False) -> Status:
-        """Take control authority that is free; with `preempt` also from its holder, while the axis is at rest."""
+        """Acquire free control authority; with `preempt` also take it from its holder while the axis is at rest."""
         return await self._run(self._verbs.acquire(preempt=preempt))
 
     async def release(self) -> Status:

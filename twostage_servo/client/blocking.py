@@ -133,7 +133,7 @@ class ServoClient:
     # Control authority -----------------------------------------------------------------------------------------------
 
     def acquire(self, *, preempt: bool = False) -> Status:
-        """Take control authority that is free; with `preempt` also from its holder, while the axis is at rest."""
+        """Acquire free control authority; with `preempt` also take it from its holder while the axis is at rest."""
         return self._run(self._verbs.acquire(preempt=preempt))
 
     def release(self) -> Status:

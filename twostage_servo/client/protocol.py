@@ -50,7 +50,7 @@ class Protocol:
         return self._sent, json.dumps(request.to_json(), allow_nan=False).encode() + b"\n"
 
     def receive(self, data: bytes) -> None:
-        """Take what has come.
+        """Process received bytes.
 
         Raises
         ------
@@ -70,7 +70,7 @@ class Protocol:
         except ValueError as error:
             raise unreadable(self._where, error) from error
         if not isinstance(fields, dict):
-            raise unreadable(self._where, "it is no object")
+            raise unreadable(self._where, "it is not an object")
         is_asked_for = self._answered < self._sent or fields.get("ok", True)
         if fields.get(_EVENT) or not is_asked_for:  # a service says so before it closes a watcher's connection
             self.snapshots.append(fields)

@@ -182,7 +182,7 @@ class Verbs:
         return (yield from self._until(_none_in(frozenset())))
 
     def acquire(self, *, preempt: bool) -> Verb[Status]:
-        """Take control authority."""
+        """Acquire control authority."""
         return (yield from self._asked(PreemptRequest() if preempt else AcquireRequest()))
 
     def release(self, patience_s: float | None = None) -> Verb[Status]:
@@ -204,7 +204,7 @@ class Verbs:
         timeout_s: float | None,
         progress: Progress | None,
     ) -> Verb[Status]:
-        """Take a set-point, or one for each of several axes."""
+        """Move to a set-point, or to one for each of several axes."""
         if isinstance(position, Mapping):
             request = _made(MoveRequest, positions=dict(position), velocity=velocity)
         else:
@@ -214,7 +214,7 @@ class Verbs:
     def move_by(
         self, distance: float, velocity: float | None, *, wait: bool, timeout_s: float | None, progress: Progress | None
     ) -> Verb[Status]:
-        """Take a set-point relative to the one in force."""
+        """Move to a set-point relative to the one in force."""
         request = _made(MoveRequest, axis=self._axis, by=distance, velocity=velocity)
         return (yield from self._moved(request, wait, timeout_s, progress))
 

@@ -130,7 +130,7 @@ class _Scanner:
 
 
 def split_key(key: str) -> tuple[str, ...]:
-    """Take a dotted key apart, e.g. ``axis."my plant".gain``.
+    """Split a dotted key, e.g. ``axis."my plant".gain``.
 
     Raises
     ------

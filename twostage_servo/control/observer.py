@@ -146,7 +146,7 @@ class DisturbanceObserver:
         self.velocity = self._a22 * velocity
 
     def update(self, sample: float, effort: float) -> None:
-        """Take ``y(k-1)`` in axis unit and ``u(k-1)`` in effort unit, and advance the estimate to tick k."""
+        """Advance the estimate to tick k with ``y(k-1)`` in axis unit and ``u(k-1)`` in effort unit."""
         position, velocity, disturbance = self.position, self.velocity, self.disturbance
         innovation = sample - position
         total = effort + disturbance
@@ -176,6 +176,6 @@ class DisturbanceObserver:
         self.position += distance
 
     def continue_from(self, other: "DisturbanceObserver") -> None:
-        """Take over another observer's estimate."""
+        """Copy another observer's estimate."""
         self.position, self.velocity, self.disturbance = other.position, other.velocity, other.disturbance
         self.innovation = 0.0

@@ -36,7 +36,7 @@ class DriveSettings(Settings):
             return handler({"type": value["type"]})
         settings = known.model_validate(value)
         if not isinstance(settings, DriveSettings):
-            raise ValueError("the settings of this type are no DriveSettings: its package is wrong")  # noqa: TRY004
+            raise ValueError("the settings of this type are not a DriveSettings: correct its package")  # noqa: TRY004
         return settings
 
     @staticmethod

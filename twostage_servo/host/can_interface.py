@@ -31,7 +31,7 @@ class CanInterface:
     bit_rate: int | None = None
 
     def add(self, name: str, status: Status, found: str, remedy: str = "") -> None:
-        """Take in a finding."""
+        """Add a finding."""
         self.findings.append(Finding(name, status, found, remedy))
 
 

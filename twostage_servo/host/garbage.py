@@ -51,7 +51,7 @@ class GarbageCollection:
         self.longest_s = 0.0
 
     def begin(self) -> int:
-        """Take over from Python: collect, exempt what is left, and switch its own collections off.
+        """Replace Python's own collections: collect, exempt what is left, and switch its own collections off.
 
         Returns
         -------

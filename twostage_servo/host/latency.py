@@ -45,7 +45,7 @@ class MeasuredMargin:
         return 0.0 if self._margin is None else self._margin.margin_s
 
     def learn(self, wake_latency_s: float) -> None:
-        """Take in one wake-up latency, s."""
+        """Record one wake-up latency, s."""
         self.wake_latency_s.append(wake_latency_s)
         if self._margin is not None:
             self._margin.learn(wake_latency_s)

@@ -70,7 +70,7 @@ class Authority:
         self.holder = client
 
     def release(self, client: str) -> bool:
-        """Take authority back from a client; return whether it held it."""
+        """Release a client's authority; return whether it held it."""
         if self.holder != client:
             return False
         self.holder = None

@@ -65,7 +65,7 @@ def _field(name: str, value: str) -> bytes:
 
 
 class JournalStream:
-    """Takes lines of JSON, and sends each to the journal as an entry.
+    """Sends each line of JSON to the journal as an entry.
 
     Parameters
     ----------

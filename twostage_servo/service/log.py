@@ -50,7 +50,7 @@ class LogWriter:
         self._thread.start()
 
     def msg(self, line: str) -> None:
-        """Take one line; never waits."""
+        """Queue one line; never waits."""
         try:
             self._queue.put_nowait(line)
         except queue.Full:

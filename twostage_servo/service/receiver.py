@@ -24,7 +24,7 @@ _PATIENCE = 1.02
 
 
 class Receiver:
-    """Takes frames to an axis.
+    """Delivers frames to an axis.
 
     Parameters
     ----------

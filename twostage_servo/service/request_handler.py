@@ -209,7 +209,7 @@ class RequestHandler:
             raise Refused(
                 RefusalCode.EXPIRED,
                 f"this {request.op} may have waited for {age_s:.1f} s, and at most "
-                f"{self.age.longest_s:g} s is allowed: check the axis, and ask again.",
+                f"{self.age.longest_s:g} s is allowed: check the axis, and send it again.",
             )
 
     def _check_not_ending(self) -> None:

@@ -52,7 +52,7 @@ class SocketFile:
         self._log = structlog.get_logger().bind(room="control_socket")
 
     def bind(self) -> socket.socket:
-        """Take the path and return a socket that listens there; it must be open for as long as it is the one there.
+        """Claim the path and return a socket that listens there; keep it open while it is the one there.
 
         Raises
         ------

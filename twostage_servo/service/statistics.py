@@ -37,7 +37,7 @@ class TickStatistics:
         self.lateness.add(lateness_s)
 
     def end(self, *times_s: float) -> None:
-        """Take the times, on one clock in s, at which the phases began, and at which the last one ended."""
+        """Record the times, on one clock in s, at which the phases began, and at which the last one ended."""
         for histogram, begun_s, ended_s in zip(self.duration.values(), times_s, times_s[1:], strict=False):
             histogram.add(ended_s - begun_s)
         self.duration["whole"].add(times_s[-1] - times_s[0])

@@ -138,7 +138,7 @@ class WireNode:
         return self._queue[0][0] if self._queue else math.inf
 
     def next_arrived(self) -> can.Message | None:
-        """Take a copy of the frame that arrived first; None when none has arrived."""
+        """Remove the frame that arrived first and return a copy; None when none has arrived."""
         if self._queue and self._queue[0][0] <= self._wire.clock() + _ROUNDING_S:
             return _copy(heapq.heappop(self._queue)[2])
         return None

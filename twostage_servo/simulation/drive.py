@@ -216,7 +216,7 @@ class SimulatedDrive:
         self._booted_s = now_s + boot_s
 
     def receive(self, message: can.Message, now_s: float) -> None:
-        """Take a frame from the bus; the answer, if there is one, comes from the next :meth:`cycle`.
+        """Process a frame from the bus; the answer, if there is one, comes from the next :meth:`cycle`.
 
         A frame that cannot be used, an effort beyond the range of its signal included, is counted and leaves everything
         as it was; in particular it does not put off the command time-out.

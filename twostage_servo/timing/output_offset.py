@@ -24,7 +24,7 @@ class OutputOffset(Protocol):
         """The offset for the next tick, s, not negative."""
 
     def learn(self, ready_s: float) -> None:
-        """Take in how long after the deadline the commands of a tick were ready, s."""
+        """Adapt to how long after the deadline the commands of a tick were ready, s."""
 
 
 class LearnedOffset:
@@ -57,7 +57,7 @@ class LearnedOffset:
         self.offset_s = min(_FIRST_OFFSET_S, self._largest_s)
 
     def learn(self, ready_s: float) -> None:
-        """Take in one time, s after the deadline."""
+        """Adapt to one time, s after the deadline."""
         late_s = ready_s - self.offset_s
         if late_s <= 0.0:
             self.offset_s = max(0.0, self.offset_s - _DECAY_S)

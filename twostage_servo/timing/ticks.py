@@ -28,7 +28,7 @@ class WakeMargin(Protocol):
         """The margin for the next tick, s, not negative."""
 
     def learn(self, wake_latency_s: float) -> None:
-        """Take in how long after the time asked for a timer woke the task, s. Called once a tick, in the loop."""
+        """Adapt to how long after the requested time a timer woke the task, s. Called once a tick, in the loop."""
 
 
 @dataclass(slots=True)  # not frozen: that takes a microsecond, between the deadline and the body of the tick

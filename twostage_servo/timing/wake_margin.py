@@ -48,7 +48,7 @@ class LearnedMargin:
         self.margin_s = min(_FIRST_MARGIN_S, self._largest_s)
 
     def learn(self, wake_latency_s: float) -> None:
-        """Take in one wake-up latency, s."""
+        """Adapt to one wake-up latency, s."""
         margin_s = self.margin_s
         if wake_latency_s <= margin_s:
             self.margin_s = max(self._smallest_s, margin_s * self._DOWN)

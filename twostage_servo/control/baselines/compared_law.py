@@ -23,7 +23,7 @@ class ComparedLaw(Protocol):
         """Number of changes from the speed to the position stage so far."""
 
     def set_target(self, target: float, velocity: float) -> None:
-        """Take a set-point in axis unit and its cruise velocity in axis unit/s; single-stage laws ignore the latter."""
+        """Set a set-point in axis unit and its cruise velocity in axis unit/s; single-stage laws ignore the latter."""
 
     def step(self, sample: float) -> float:
-        """Take a position sample in axis unit; return the effort in effort unit for the period that begins now."""
+        """Process a position sample in axis unit; return the effort in effort unit for the period that begins now."""

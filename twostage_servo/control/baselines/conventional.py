@@ -66,14 +66,14 @@ class ConventionalTwoStage:
         self.stage = Stage.SPEED
 
     def set_target(self, target: float, velocity: float) -> None:
-        """Take the set-point (axis unit) and the magnitude of the cruise velocity (axis unit/s) of a move from rest."""
+        """Set the set-point (axis unit) and the magnitude of the cruise velocity (axis unit/s) of a move from rest."""
         self._target = target
         self._velocity_reference = velocity
         self._moving = False
         self.stage = Stage.SPEED
 
     def step(self, sample: float) -> float:
-        """Take ``y(k)`` in axis unit; return the effort ``u(k)`` in effort unit."""
+        """Process ``y(k)`` in axis unit; return the effort ``u(k)`` in effort unit."""
         measured = self._measure(sample)
         error = self._target - sample
         if self.stage is Stage.POSITION:

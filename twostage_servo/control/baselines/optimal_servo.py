@@ -29,11 +29,11 @@ class OptimalServo:
         self.changeovers = 0
 
     def set_target(self, target: float, velocity: float) -> None:  # noqa: ARG002 - the face of every law
-        """Take a set-point in axis unit; the servo drives there as fast as its gains make it."""
+        """Set a set-point in axis unit; the servo drives there as fast as its gains make it."""
         self._target = target
 
     def step(self, sample: float) -> float:
-        """Take ``y(k)`` in axis unit; return the effort ``u(k)`` in effort unit."""
+        """Process ``y(k)`` in axis unit; return the effort ``u(k)`` in effort unit."""
         velocity = self._measure(sample)
         if self._started:
             self._effort += (

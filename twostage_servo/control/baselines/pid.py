@@ -32,11 +32,11 @@ class Pid:
         self.changeovers = 0
 
     def set_target(self, target: float, velocity: float) -> None:  # noqa: ARG002 - the face of every law
-        """Take a set-point in axis unit; a PID drives there as fast as its gains make it."""
+        """Set a set-point in axis unit; a PID drives there as fast as its gains make it."""
         self._target = target
 
     def step(self, sample: float) -> float:
-        """Take ``y(k)`` in axis unit; return the effort ``u(k)`` in effort unit."""
+        """Process ``y(k)`` in axis unit; return the effort ``u(k)`` in effort unit."""
         error = self._target - sample
         self.velocity = self._differentiate(sample)
         effort = self._f11 * error + self._sum - self._f12 * self.velocity

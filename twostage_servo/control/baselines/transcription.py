@@ -161,7 +161,7 @@ class TranscribedLaw:
         return float(self._x_o[1, 0])
 
     def set_target(self, target: float, velocity: float) -> None:
-        """Take the set-point r (axis unit) and the magnitude of v (axis unit/s) of a move from rest."""
+        """Set the set-point r (axis unit) and the magnitude of v (axis unit/s) of a move from rest."""
         distance = target - float(self._x_o[0, 0])
         self._target = target
         self._reference = float(np.copysign(velocity, distance))
@@ -171,7 +171,7 @@ class TranscribedLaw:
         self._offset = -float(self._x_o[0, 0])
 
     def step(self, sample: float) -> float:
-        """Take ``y(k-1)``, in the filter form ``y(k)``, in axis unit; return the effort ``u(k)`` in effort unit.
+        """Process ``y(k-1)``, in the filter form ``y(k)``, in axis unit; return the effort ``u(k)`` in effort unit.
 
         The sum that acts at tick k ends with ``e(k-1)``, whichever sample that is.
         """

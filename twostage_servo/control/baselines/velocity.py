@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 VelocitySource = Callable[[float], float]
-"""Takes the position sample of a tick (axis unit), returns the velocity (axis unit/s)."""
+"""Returns the velocity (axis unit/s) for the position sample of a tick (axis unit)."""
 
 
 class Differentiator:
@@ -19,7 +19,7 @@ class Differentiator:
         self._before: float | None = None
 
     def __call__(self, sample: float) -> float:
-        """Take a sample in axis unit; return the velocity in axis unit/s."""
+        """Process a sample in axis unit; return the velocity in axis unit/s."""
         before = sample if self._before is None else self._before
         self._before = sample
         return (sample - before) / self._period_s

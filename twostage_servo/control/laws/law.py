@@ -78,7 +78,7 @@ class Law(Protocol):
         """
 
     def step(self, sample: float | None) -> float:
-        """Take the sample of the last effort's instant, None where the model has to do; return the next effort.
+        """Process the sample of the last effort's instant, None where the model must suffice; return the next effort.
 
         It lies within the limits. What is no number is returned as it is: the axis trips by it.
         """
@@ -96,7 +96,7 @@ class Law(Protocol):
         """Go on from another estimate of velocity and disturbance, in a stop that has begun as well."""
 
     def continue_from(self, other: Any) -> None:
-        """Take over the whole state of another law of the same design, its estimate included."""
+        """Copy the whole state of another law of the same design, its estimate included."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,7 +150,7 @@ class TwoStageLaw:
         return abs(self.target - self.observer.position)
 
     def set_target(self, target: float, velocity: float) -> None:
-        """Take a new set-point, at rest or in mid-move; the effort stays continuous.
+        """Set a new set-point, at rest or in mid-move; the effort stays continuous.
 
         The axis goes through the speed stage, unless the set-point lies within the change-over distance of `velocity`.
         A set-point too near for the present speed, or behind, is met by braking or turning in the speed stage first.
@@ -205,7 +205,7 @@ class TwoStageLaw:
         self._offset -= distance
 
     def step(self, sample: float | None) -> float:
-        """Take the sample that the drive made when the last effort left, ``y(k-1)``; return the effort ``u(k)``.
+        """Process the sample that the drive made when the last effort left, ``y(k-1)``; return the effort ``u(k)``.
 
         Parameters
         ----------
@@ -264,7 +264,7 @@ class TwoStageLaw:
         self.stop_stage.resume_at(velocity)
 
     def continue_from(self, other: "TwoStageLaw") -> None:
-        """Take over the whole state of another law of the same axis, its estimate included."""
+        """Copy the whole state of another law of the same axis, its estimate included."""
         self.observer.continue_from(other.observer)
         self.stop_stage.continue_from(other.stop_stage)
         self.stage, self.effort, self.saturated = other.stage, other.effort, other.saturated
@@ -317,7 +317,7 @@ class TwoStageLaw:
         return goal
 
     def _enter_position_stage(self, effort: float) -> None:
-        """Take the position stage's sum so that it gives this effort at the present estimate."""
+        """Set the position stage's sum so that it gives this effort at the present estimate."""
         self._offset = -self.observer.position
         self._sum = effort + self._f12 * self.observer.velocity
         self.stage = Stage.POSITION
@@ -325,7 +325,7 @@ class TwoStageLaw:
         self.changeovers += 1
 
     def _enter_speed_stage(self) -> None:
-        """Take the speed stage's sum so that it goes on from the last effort."""
+        """Set the speed stage's sum so that it continues from the last effort."""
         self._sum = self.effort + self._f12 * self.observer.velocity
         self.speed_reference = self.observer.velocity
         self.stage = Stage.SPEED

@@ -122,7 +122,7 @@ class Stop:
         self.state.speed_reference = velocity
 
     def aim(self, deceleration: float, friction: float, *, gradual: bool) -> None:
-        """Take the slope of the ramp, the friction and the end, as in :meth:`~.law.Law.stop`; also in mid-stop."""
+        """Set the slope of the ramp, the friction and the end, as in :meth:`~.law.Law.stop`; also in mid-stop."""
         state = self.state
         state.ramp = deceleration * self._period_s
         state.friction = friction

@@ -85,7 +85,7 @@ class TrackingLaw:
         self.stop_stage.aim(deceleration, friction, gradual=gradual)
 
     def step(self, sample: float | None) -> float:
-        """Take the sample of the last effort's instant, in axis unit or None; return the next effort."""
+        """Process the sample of the last effort's instant, in axis unit or None; return the next effort."""
         observer = self.observer
         if sample is None:
             sample = observer.position
@@ -129,7 +129,7 @@ class TrackingLaw:
         self.stop_stage.resume_at(velocity)
 
     def continue_from(self, other: "TrackingLaw") -> None:
-        """Take over the whole state of another law of the same design, its estimate included."""
+        """Copy the whole state of another law of the same design, its estimate included."""
         self.observer.continue_from(other.observer)
         self.stop_stage.continue_from(other.stop_stage)
         self.stage, self.effort, self.saturated = other.stage, other.effort, other.saturated

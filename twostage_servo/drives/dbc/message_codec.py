@@ -98,7 +98,7 @@ class MessageCodec:
         return bytes(map(int.__or__, both[:length], both[: length - 1 : -1]))
 
     def quantity(self, name: str, factor: float = 1) -> SignalCodec:
-        """Take a signal that carries a physical quantity, see :func:`quantity_codec`.
+        """Claim a signal that carries a physical quantity, see :func:`quantity_codec`.
 
         Raises
         ------
@@ -108,19 +108,19 @@ class MessageCodec:
         return self._take(name, partial(quantity_codec, factor=factor))
 
     def position(self, name: str, factor: float = 1) -> SignalCodec:
-        """Take a signal that carries a position, see :func:`position_codec`; raises as :meth:`quantity` does."""
+        """Claim a signal that carries a position, see :func:`position_codec`; raises as :meth:`quantity` does."""
         return self._take(name, partial(position_codec, factor=factor))
 
     def count(self, name: str) -> SignalCodec:
-        """Take a signal that carries a plain count, see :func:`count_codec`; raises as :meth:`quantity` does."""
+        """Claim a signal that carries a plain count, see :func:`count_codec`; raises as :meth:`quantity` does."""
         return self._take(name, count_codec)
 
     def flag(self, name: str) -> SignalCodec:
-        """Take a signal that says yes or no, see :func:`flag_codec`; raises as :meth:`quantity` does."""
+        """Claim a signal that says yes or no, see :func:`flag_codec`; raises as :meth:`quantity` does."""
         return self._take(name, flag_codec)
 
     def byte_index(self, name: str) -> int:
-        """Take a signal that fills one whole byte, and say which.
+        """Return the index of the whole byte that a signal fills.
 
         Raises
         ------
