@@ -74,9 +74,9 @@ class BusSettings(Settings):
     def _is_known(cls, interface: str) -> str:
         if interface not in can.VALID_INTERFACES:
             near = difflib.get_close_matches(interface, can.VALID_INTERFACES, n=1)
-            guess = f"did you mean {near[0]}? " if near else ""
+            guess = f"; did you mean {near[0]}?" if near else "."
             raise ValueError(
-                f"python-can has no such interface; {guess}Its interfaces: {', '.join(sorted(can.VALID_INTERFACES))}"
+                f"python-can has no such interface{guess} Its interfaces: {', '.join(sorted(can.VALID_INTERFACES))}"
             )
         return interface
 
