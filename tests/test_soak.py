@@ -399,12 +399,16 @@ def test_an_encoder_fails_on_a_drive_that_obeys(monkeypatch: pytest.MonkeyPatch)
     assert not soak.watch.active
 
 
-def test_a_load_is_gone_before_an_encoder_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_load_is_gone_for_half_a_second_before_an_encoder_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     soak = armed(soak_of(linear(), monkeypatch))
     soak.drive.load = 3.0
     soak._encoder_fails()
     assert soak.drive.load == 0.0
     assert not soak.watch.active
+    soak._tick += 49
+    soak._encoder_fails()
+    assert not soak.watch.active
+    soak._tick += 1  # the estimate has had 500 ms for it
     soak._encoder_fails()
     assert soak.watch.active
 

@@ -27,6 +27,9 @@ _CHANGE_OF_PACE = 0.03
 _MOST_ENCODER_EVENTS = 30
 """Events after which the operator mends an encoder that nobody has noticed, as one is that fails at standstill."""
 
+_ESTIMATED_AFTER_MS = 500.0
+"""Time after which the estimate has followed a load that has changed."""
+
 
 class AxisSoak:
     """One axis in random operation.
@@ -65,6 +68,7 @@ class AxisSoak:
         self._pace_ticks = 100.0
         self._heartbeat_ticks = self.axis.design.ticks(_HEARTBEAT_MS)
         self._encoder_events = 0
+        self._load_is_known_at = 0
         self._plant_ends = _PLANT_LIFE_TICKS
         self._reported_trip: object = None
         self._was_homing = False
@@ -142,7 +146,11 @@ class AxisSoak:
 
     def _load_the_axis(self) -> None:
         random, effort = self.random, self.axis.settings.limits.effort
-        self.drive.load = random.choice((0.0, random.uniform(-0.125, 0.125), random.uniform(-0.5, 0.5))) * effort
+        self._change_load(random.choice((0.0, random.uniform(-0.125, 0.125), random.uniform(-0.5, 0.5))) * effort)
+
+    def _change_load(self, load: float) -> None:
+        self.drive.load = load
+        self._load_is_known_at = self._tick + self.axis.design.ticks(_ESTIMATED_AFTER_MS)
 
     def _spike(self) -> None:
         self.drive.spike_at = self._tick + 1 + self.random.randrange(3)
@@ -199,10 +207,11 @@ class AxisSoak:
         """Let the encoder count wrongly from here on, in whatever state the axis is driven."""
         drive = self.drive
         if drive.load:  # one fault at a time: an estimate with a load that has just gone is wrong by itself
-            drive.load = 0.0
+            self._change_load(0.0)
             return
         disobeys_until = max(drive.stuck_until, drive.creeping_until)
         busy = max(drive.silent_until, drive.fault_until, drive.sto_until, drive.spike_at, disobeys_until) >= self._tick
+        busy = busy or self._load_is_known_at > self._tick
         if self.axis.state not in DRIVEN or busy or self.watch.in_doubt:
             return
         factor = self.random.choice(list(ENCODER_FACTORS.values()))
