@@ -139,6 +139,28 @@ def test_an_encoder_that_turns_round_as_a_new_target_turns_the_axis_round_is_tol
         assert axis.trip.code in IN_DOUBT
 
 
+@pytest.mark.parametrize("innovation", [0.5, 5.0])
+@pytest.mark.parametrize("gain_and_pole", [(1.0, 1.0), (1.26, 0.8), (0.79, 0.85), (0.8, 1.2)])
+@pytest.mark.parametrize("period_s", [0.001, 0.01])
+def test_an_encoder_that_turns_round_at_the_end_of_a_stop_is_told_before_the_axis_is_far(
+    period_s: float, gain_and_pole: tuple[float, float], innovation: float
+) -> None:
+    """It goes ever faster. Judged by the last 138 ms alone it went up to 44 mm."""
+    gain, pole = gain_and_pole
+    for speed in (4.0, 10.0, 40.0):
+        axis = Axis(design_axis(axis_settings(innovation_gate=innovation), period_s), TRAITS)
+        rig = AxisRig(axis, Plant(180.0 * gain, 14.0 * pole), period_s=period_s).cruising(1500.0, 100.0)
+        axis.stop()
+        while rig.velocity > speed:
+            rig.tick()
+        at = rig.position
+        change(rig, -1.0)
+        rig.seconds(1.5)
+        assert abs(rig.position - at) < 23.0
+        assert axis.trip is not None
+        assert axis.trip.code in IN_DOUBT
+
+
 @pytest.mark.parametrize("every_s", [0.2, 2.0, 60.0])
 def test_a_frozen_encoder_is_not_forgotten_where_an_operator_sets_the_position(every_s: float) -> None:
     """It stands 0.4 mm off the target, so that the effort grows. Each new position was taken for a motion of it."""

@@ -10,7 +10,8 @@ surprised by is what has to be explained: nothing is decided that a healthy axis
 *Another gain*: reversed, cut to less than half, more than doubled. That is an encoder with its sign or its scale wrong
 from the start, or a drive whose gain has changed. Squared innovations are summed in an exponential window and compared:
 multiple-model estimation (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
-Navigation*, 2001, section 11.6), with a threshold on the ratio in place of its probabilities.
+Navigation*, 2001, section 11.6), with a threshold on the ratio in place of its probabilities. A reversed sign
+is compared over a short window as well: :mod:`twostage_servo.control.model_monitor.reversal`.
 
 *A change of the encoder*: :mod:`twostage_servo.control.model_monitor.encoder_change`.
 
@@ -32,6 +33,7 @@ from twostage_servo.control.model_monitor.hypotheses import (
     forgetting,
     slow_observer,
 )
+from twostage_servo.control.model_monitor.reversal import ReversalWatch
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel
 from twostage_servo.control.per_time import NOMINAL_S
 from twostage_servo.control.plant import Plant
@@ -82,8 +84,8 @@ class ModelMonitor:
 
     __slots__ = (
         "_accepted", "_accepted_sums", "_changes", "_date_share_s", "_forgetting", "_gains", "_innovation",
-        "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins", "_samples", "_still_sum",
-        "_sum", "_sums", "is_sure", "surprise",
+        "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins", "_reversal", "_samples",
+        "_still_sum", "_sum", "_sums", "is_sure", "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
@@ -96,6 +98,8 @@ class ModelMonitor:
         self._gains = [
             slow_observer(deviating(plant, other.plant, other.factor), period_s, noise) for other in OTHER_GAINS
         ]
+        signs = [one for one, other in zip(self._gains, OTHER_GAINS, strict=True) if other.factor < 0.0]
+        self._reversal = ReversalWatch(signs, period_s)
         of_plants = [(factor, index) for index in CHANGE_PLANTS for factor in CHANGE_FACTORS if factor or not index]
         self._changes = [EncoderChange(factor, ACCEPTED[i], plant, period_s, noise) for factor, i in of_plants]
         # The law's own observer is the estimate of the model; it may be another one from tick to tick.
@@ -132,6 +136,7 @@ class ModelMonitor:
         self._sums = [self._sum] * len(OTHER_GAINS)
         self._accepted_sums = [self._sum] * len(ACCEPTED)
         self.surprise = self._sum**0.5
+        self._reversal.start(model.innovation * model.innovation)
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
@@ -180,6 +185,7 @@ class ModelMonitor:
         self._samples[self._next] = sample
         self._next = (self._next + 1) % len(self._samples)
         self._still_sum = kept * self._still_sum + step * step
+        self._reversal.update(least_square, step * step)
         self._least = self._least_at_rest + self._date_share_s * speed
         self.is_sure = least_square <= self._least * self._least
         self._measure_noise(model.innovation)
@@ -221,6 +227,8 @@ class ModelMonitor:
         likeliest = max(self._changes, key=EncoderChange.evidence)
         if self._certain(likeliest.factor):
             return likeliest.factor
+        if self._reversal.is_certain(self._least, STILL_EVIDENCE):
+            return -1.0
         needed = [other.evidence * total for other, total in zip(OTHER_GAINS, self._sums, strict=True)]
         least = min(needed)
         best = needed.index(least)
@@ -263,6 +271,8 @@ class ModelMonitor:
             # What less than it takes to decide anything does not tell apart is likelier of the model.
             enough = max(min(change.own_sum for change in changes), self._least * self._least)
             return next(change for change in changes if change.own_sum <= enough).reckon()
-        _, best = min((self._sums[index], index) for index, other in enumerate(OTHER_GAINS) if other.factor == factor)
+        likely = [(self._sums[index], index) for index, other in enumerate(OTHER_GAINS) if other.factor == factor]
+        in_short = factor < 0.0 and self._reversal.is_certain(self._least, STILL_EVIDENCE)
+        _, best = likely[self._reversal.likeliest] if in_short else min(likely)
         observer, gain = self._gains[best], OTHER_GAINS[best].plant.gain
         return Reckoning(observer.velocity / (factor * gain), observer.disturbance)
