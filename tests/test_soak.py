@@ -360,6 +360,50 @@ def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_s
     assert soak.watch.check(2.0 * far, 1.0, effort + 1.1 * stall) is not None
 
 
+def test_an_effort_that_was_large_for_less_than_the_stall_time_leaves_an_encoder_untold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """50 ms are five ticks, and a sample is two older."""
+    soak = armed(soak_of(linear(), monkeypatch))
+    stall, effort = soak.axis.settings.limits.stall_effort, soak.axis.effort
+    far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.0)
+    soak.watch.begin(0.0, 0.0, 0.0)
+    for _ in range(2):
+        for _ in range(7):
+            assert soak.watch.check(0.0, 1.0, effort + 1.1 * stall) is None
+        assert soak.watch.check(far, 1.0, effort + 0.9 * stall) is None
+        assert soak.watch.check(0.0, 1.0, effort + 0.9 * stall) is None
+    for _ in range(8):
+        assert soak.watch.check(0.0, 1.0, effort + 1.1 * stall) is None
+    assert soak.watch.check(far, 1.0, effort + 0.9 * stall) is not None
+
+
+@pytest.mark.parametrize(("share", "told"), [(1.99, False), (2.01, True)])
+def test_from_rest_another_scale_shows_at_twice_the_speed_at_which_it_does_in_a_cruise(
+    share: float, *, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    slowest = slowest_certain_velocity(soak.axis.design)
+    speed = share * certain_speed(soak.axis.design, slowest, 50.0)
+    soak.watch._fastest = 50.0
+    far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.5)
+    soak.watch.begin(0.5, 0.0, 0.0, 0.8)
+    soak.watch.check(0.0, speed, 0.0)
+    assert (soak.watch.check(far, speed, 0.0) is not None) is told
+
+
+@pytest.mark.parametrize(("ticks_before", "told"), [(299, False), (300, True)])
+def test_what_a_cruise_is_has_a_unit_of_time(ticks_before: int, *, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It lasts 300 ms. Of a tick of 1 ms, 30 had been enough, in which the speed of any axis hardly changes."""
+    soak = soak_of(configuration(LINEAR, 1.0, GATES[0]), monkeypatch)
+    far = 10.0 * travel_bound(soak.axis.design, 200.0, 2.0)
+    for _ in range(ticks_before):
+        soak.watch.check(0.0, 200.0, 0.0)
+    soak.watch.begin(2.0, 0.0, 200.0, 1.2)
+    soak.watch.check(0.0, 200.0, 0.0)
+    assert (soak.watch.check(far, 200.0, 0.0) is not None) is told
+
+
 def test_a_late_sample_of_a_fast_axis_hides_another_scale() -> None:
     made = design(linear().load())
     slowest = slowest_certain_velocity(made)

@@ -35,8 +35,12 @@ REFUSED_GAINS = (0.45, 2.2)
 _SAMPLE_AGE_TICKS = 2
 """A fault may fall just behind a sample, and a sample is read a tick after it was taken."""
 
-_CRUISE_TICKS = 30
-"""Ticks after which the estimate of the speed is that of a cruise: as many as `check` lets pass before the fault."""
+_CRUISE_S = 0.3
+"""Time after which the estimate of the speed is that of a cruise: 30 ticks of 10 ms, of whatever length they are."""
+
+_FROM_REST = 2.0
+"""How many times as fast as in a cruise an axis has to be for its scale to show from rest on. In a cruise the measured
+speed jumps; from rest on the same difference grows with the speed, while the estimates follow."""
 
 _CRUISE_SHARE = 0.1
 """Share by which the speed may have changed in them. A plant off its model makes the estimate wrong by up to
@@ -125,8 +129,12 @@ class EncoderWatch:
         self._was_driven = False
         self._began = ""
         self._effort_before: float | None = None  # with which its encoder stood still, where that did not show
+        self._from_rest = False
         self._is_slow = False  # whether it has not been fast enough yet for its scale to show
-        self._speeds: deque[float] = deque(maxlen=_CRUISE_TICKS)
+        self._cruise_ticks = max(2, round(_CRUISE_S / axis.design.period_s))
+        self._speeds: deque[float] = deque(maxlen=self._cruise_ticks)
+        self._stall_ticks = axis.design.ticks(axis.settings.limits.stall_time_ms) + _SAMPLE_AGE_TICKS
+        self._ticks_beyond = 0  # with an effort that has changed by the stall effort
         self._fastest = 0.0
 
     @property
@@ -174,7 +182,8 @@ class EncoderWatch:
         """Look at the true axis (axis unit, axis unit/s) and its effort after a tick; say what is wrong, or None.
 
         An encoder that stands still at an axis too slow for its jump to show is friction's double: until the effort has
-        changed by the stall effort, which is more than its friction, nothing tells them apart, and the axis may creep.
+        changed by the stall effort, which is more than its friction, for the stall time, nothing tells them apart, and
+        the axis may creep.
         So may one with another scale, until it has been fast enough for that to show.
         """
         self._speeds.append(abs(speed))
@@ -205,9 +214,12 @@ class EncoderWatch:
     def _may_creep(self, speed: float, effort: float) -> bool:
         if self._effort_before is not None:
             if abs(effort - self._effort_before) < self._axis.settings.limits.stall_effort:
+                self._ticks_beyond = 0
                 return True
-            self._effort_before = None
-        self._is_slow = self._is_slow and speed < self._certain_speed()
+            self._ticks_beyond += 1
+            if self._ticks_beyond > self._stall_ticks:
+                self._effort_before = None
+        self._is_slow = self._is_slow and speed < self._certain_speed() * (_FROM_REST if self._from_rest else 1.0)
         return self._is_slow
 
     def _check_arming(self, position: float, speed: float) -> str | None:
@@ -256,7 +268,8 @@ class EncoderWatch:
         self._origin, self._speed = position, speed
         is_scale = self.factor > 0.0
         self._is_certain = not is_scale or (shows and steady) or (from_rest and self._is_refused())
-        self._is_slow = is_scale and not shows
+        self._is_slow, self._from_rest = is_scale and not shows, from_rest
+        self._ticks_beyond = 0
         self._effort_before = None if shows or self.factor else self._axis.effort
         self._set_bound()
         self._error_allowed += abs(1.0 - self.factor) * self._bound
@@ -271,7 +284,7 @@ class EncoderWatch:
         return certain_speed(self._axis.design, self._slowest, self._fastest)
 
     def _cruises(self, speed: float) -> bool:
-        if len(self._speeds) < _CRUISE_TICKS:
+        if len(self._speeds) < self._cruise_ticks:
             return False
         return max(*self._speeds, speed) - min(*self._speeds, speed) <= _CRUISE_SHARE * speed
 
