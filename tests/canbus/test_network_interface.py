@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from tests.canbus.test_link import COMMAND, FEEDBACK, FakeBus
-from twostage_servo.canbus import link as link_module
+from twostage_servo.canbus import bus_opening
 from twostage_servo.canbus.link import BusSettings, Link, LinkCounters, LinkError
 from twostage_servo.canbus.network_interface import NetworkInterface
 
@@ -137,8 +137,8 @@ class FakeInterface:
 @pytest.fixture
 def interface(monkeypatch: pytest.MonkeyPatch) -> FakeInterface:
     fake = FakeInterface()
-    monkeypatch.setattr(link_module, "SocketcanBus", FakeSocketcan)
-    monkeypatch.setattr(link_module, "NetworkInterface", fake)
+    monkeypatch.setattr(bus_opening, "SocketcanBus", FakeSocketcan)
+    monkeypatch.setattr(bus_opening, "NetworkInterface", fake)
     return fake
 
 

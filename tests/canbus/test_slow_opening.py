@@ -11,7 +11,8 @@ import pytest
 
 from tests.canbus.test_link import FEEDBACK, FakeBus
 from twostage_servo.canbus import socketcand
-from twostage_servo.canbus.link import BusSettings, Link, LinkError, _Attempt
+from twostage_servo.canbus.bus_opening import OpeningAttempt
+from twostage_servo.canbus.link import BusSettings, Link, LinkError
 from twostage_servo.service.bus_connection import BusConnection
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -173,7 +174,7 @@ def test_a_bus_that_is_lost_is_shut_down_by_the_thread_and_not_in_the_tick() -> 
 def test_an_opening_that_came_just_before_it_was_given_up_is_shut_down() -> None:
     blocked = Blocked()
     link = link_to(blocked.bus)
-    attempt = _Attempt(link)
+    attempt = OpeningAttempt(link.open, link.close)
     attempt.run()
     attempt.abandon()
     assert blocked.is_shut_down.is_set()

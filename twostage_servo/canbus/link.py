@@ -1,31 +1,28 @@
 """One opened bus: a python-can interface that never waits, never keeps an old command and fails in one way only."""
 
-import asyncio
 import functools
-import logging
-import threading
-import traceback
 from collections.abc import Callable, Iterable
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import can
-from can.interfaces.socketcan import SocketcanBus
 
 from twostage_servo.canbus import error_frames
+from twostage_servo.canbus.bus_opening import BusOpening, OpeningAttempt
 from twostage_servo.canbus.bus_settings import BusSettings
 from twostage_servo.canbus.error_frames import ControllerState
 from twostage_servo.canbus.frame_age import FrameAge, stamp_clock
 from twostage_servo.canbus.identifier import Identifier
 from twostage_servo.canbus.link_counters import LinkCounters
 from twostage_servo.canbus.link_error import LinkError, is_full, link_error
-from twostage_servo.canbus.network_interface import NetworkInterface
 from twostage_servo.canbus.open_interface import open_interface
 from twostage_servo.canbus.socketcand import SocketcandBus
-from twostage_servo.worker_thread import WorkerThread
+
+if TYPE_CHECKING:
+    import asyncio
+
+    from twostage_servo.canbus.network_interface import NetworkInterface
 
 __all__ = ["BusSettings", "ControllerState", "Link", "LinkCounters", "LinkError"]
-
-_log = logging.getLogger(__name__)
 
 _USUAL_TICK_S: Final = 0.01
 
@@ -81,9 +78,8 @@ class Link:
         self._age: FrameAge | None = None
         self._most = settings.frames_read(_USUAL_TICK_S)
         self._accepted = frozenset(identifier.identifier for identifier in accepted)
-        self._opener = opener or functools.partial(open_interface, settings, self._accepted)
+        self._opening = BusOpening(settings, opener or functools.partial(open_interface, settings, self._accepted))
         self._bus: can.BusABC | None = None
-        self._thread = WorkerThread("open_bus")
 
     @property
     def is_open(self) -> bool:
@@ -100,22 +96,7 @@ class Link:
         """
         if self._bus is not None:
             return
-        bus = interface = None
-        try:
-            bus = self._opener()
-            if isinstance(bus, SocketcanBus):
-                interface = NetworkInterface(bus.socket, str(self.settings.channel), fd=self.settings.fd)
-                interface.check()
-            if type(bus)._apply_filters is can.BusABC._apply_filters:  # noqa: SLF001
-                # Filters in software: recv(0) would return None for each foreign frame and look empty. drain() filters.
-                bus.set_filters(None)
-        except Exception as error:  # an interface may raise anything
-            if bus is not None:
-                self._shut_down(bus)
-            # A half-made bus of python-can hangs on the frames of its error, and its socket would stay open until the
-            # next collection of garbage, attempt after attempt.
-            traceback.clear_frames(error.__traceback__)
-            raise self._error("cannot be opened", error) from error
+        bus, interface = self._opening.open()
         self.controller_state = "active"
         self.error_counters = None
         self._interface = interface
@@ -137,26 +118,13 @@ class Link:
         LinkError
             When it cannot be opened.
         """
-        # A thread of its own, from the first opening on: a bus that is lost later on has to be opened again on a host
-        # that has no thread left, and neither another bus nor a disk that hangs may stand in the way.
-        attempt = _Attempt(self)
-        try:
-            opening = asyncio.get_running_loop().run_in_executor(self._thread, attempt.run)
-        except (RuntimeError, MemoryError) as error:
-            raise self._error("cannot be opened", error) from error
-        try:
-            await opening
-        except asyncio.CancelledError:
-            attempt.abandon()
-            raise
-        finally:
-            del opening  # it holds the error, whose traceback holds this frame
+        await self._opening.open_in_thread(OpeningAttempt(self.open, self.close))
 
     def close(self) -> None:
         """Close the bus. Never raises, and does nothing when it is closed already."""
         bus, self._bus, self._interface = self._bus, None, None
         if bus is not None:
-            self._shut_down(bus)
+            self._opening.shut_down(bus)
 
     def close_in_thread(self) -> "asyncio.Future[None] | None":
         """Give up the bus, for a running loop that must not wait: an interface of python-can may block in its shutdown.
@@ -167,15 +135,7 @@ class Link:
             Done when the thread has shut the bus down; None when that is done already. An opening comes after it.
         """
         bus, self._bus, self._interface = self._bus, None, None
-        if bus is None:
-            return None
-        if not isinstance(bus, SocketcanBus | SocketcandBus):  # which close a socket, and never wait
-            try:
-                return asyncio.get_running_loop().run_in_executor(self._thread, self._shut_down, bus)
-            except (RuntimeError, MemoryError) as error:
-                _log.warning("%s is closed without a thread: %r", self._name, error)
-        self._shut_down(bus)
-        return None
+        return None if bus is None else self._opening.shut_down_in_thread(bus)
 
     def check(self) -> None:
         """See whether the bus can still carry frames, and count what the kernel has thrown away; for now and then.
@@ -316,14 +276,8 @@ class Link:
 
     def _opened(self) -> can.BusABC:
         if self._bus is None:
-            raise LinkError(f"{self._name} is not open. Open it first.")
+            raise LinkError(f"{self._opening.name} is not open. Open it first.")
         return self._bus
-
-    def _shut_down(self, bus: can.BusABC) -> None:
-        try:
-            bus.shutdown()
-        except Exception as error:  # noqa: BLE001 - an interface may raise anything; the bus is given up in any case
-            _log.warning("%s did not close properly: %r", self._name, error)
 
     def _take_error_frame(self, message: can.Message) -> None:
         if self.settings.interface not in error_frames.INTERFACES:
@@ -334,46 +288,11 @@ class Link:
         self.counters.count_error(error.kind)
         if error.is_bus_off:
             raise LinkError(
-                f"{self._name} went bus-off: too many transmit errors. Check cable, termination and bit rate, "
+                f"{self._opening.name} went bus-off: too many transmit errors. Check cable, termination and bit rate, "
                 f"restart the controller with 'ip link set {self.settings.channel} type can restart', then reset the "
                 "axis."
             )
         self.controller_state = error.state or self.controller_state
 
-    @property
-    def _name(self) -> str:
-        return f"bus {self.settings.interface} {self.settings.channel}"
-
     def _error(self, what: str, error: Exception) -> LinkError:
-        return link_error(self._name, self.settings, what, error)
-
-
-class _Attempt:
-    """An opening in another thread, which whoever waits for it may give up.
-
-    Parameters
-    ----------
-    link
-        What is opened.
-    """
-
-    def __init__(self, link: Link) -> None:
-        self._link = link
-        self._lock = threading.Lock()
-        self._is_done = False
-        self._is_abandoned = False
-
-    def run(self) -> None:
-        """Open the bus, in the thread; close it again if nobody waits for it any more."""
-        self._link.open()
-        with self._lock:
-            self._is_done = True
-            if self._is_abandoned:
-                self._link.close()
-
-    def abandon(self) -> None:
-        """Let the thread close what comes of it; what has come already is closed here."""
-        with self._lock:
-            self._is_abandoned = True
-            if self._is_done:
-                self._link.close()
+        return link_error(self._opening.name, self.settings, what, error)
