@@ -15,20 +15,8 @@ from twostage_servo.api.status import Recording, Status
 from twostage_servo.client.async_connection import AsyncConnection
 from twostage_servo.client.errors import ServoError
 from twostage_servo.client.protocol import Authority, status_in
-from twostage_servo.client.verbs import (
-    JOG_INTERVAL_S,
-    PARTING_S,
-    Ask,
-    Pause,
-    Progress,
-    Reconnect,
-    Step,
-    Until,
-    Verb,
-    Verbs,
-    is_jogging,
-    number_of,
-)
+from twostage_servo.client.steps import Ask, Pause, Reconnect, Step, Until, Verb
+from twostage_servo.client.verbs import JOG_INTERVAL_S, PARTING_S, Progress, Verbs, is_jogging, number_of
 
 T = TypeVar("T")
 

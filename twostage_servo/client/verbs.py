@@ -1,12 +1,8 @@
-"""What each verb asks the service for, and what it waits for, step by step.
-
-Each is a generator. It yields steps, which the blocking or the asynchronous client carries out, and is sent what came
-of them: the answer, the status, or an error. So there is one place that knows how an axis is operated.
-"""
+"""What each verb asks the service for, and what it waits for, step by step: how an axis is operated."""
 
 import math
-from collections.abc import Callable, Generator, Mapping
-from typing import Any, Final, NamedTuple, TypeVar
+from collections.abc import Callable, Mapping
+from typing import Final, TypeVar
 
 from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.requests import (
@@ -31,8 +27,8 @@ from twostage_servo.api.status import AxisReport, Recording, Status
 from twostage_servo.axis.moves import MoveOutcome
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import BRAKING, State
-from twostage_servo.client.errors import Interrupted, Reason, Refused, ServoError, TimedOut, Tripped, Unreachable
-from twostage_servo.client.protocol import REPEATED
+from twostage_servo.client.errors import Interrupted, Refused, ServoError, TimedOut, Tripped
+from twostage_servo.client.steps import Pause, Until, Verb, asked
 
 JOG_INTERVAL_S: Final = 0.1
 """Time between two requests of a jog; the service stops it after `axis.jog_timeout_ms` without one."""
@@ -40,66 +36,11 @@ LONGEST_RELOAD_S: Final = 65.0
 """Longer than the service lets the process take that reads a configuration again."""
 PARTING_S: Final = 1.0
 """Longest wait for the answer to a `release` as one leaves."""
-_PAUSE_S: Final = 0.002
 _PROGRESS_TICKS: Final = 5
 _ARMING: Final = frozenset({State.ARMING, State.STOPPING})
 
 Progress = Callable[[Status], object]
 """Is called with each status that a verb sees while it waits."""
-
-
-class Ask(NamedTuple):
-    """Send a request and wait for its answer, for `patience_s` where that is given; brings the object of JSON."""
-
-    request: Request
-    patience_s: float | None = None
-
-
-class Reconnect(NamedTuple):
-    """Connect anew within a time (s)."""
-
-    within_s: float
-
-
-class Pause(NamedTuple):
-    """Wait (s)."""
-
-    seconds: float
-
-
-class Until(NamedTuple):
-    """Watch, every so many ticks, until a condition holds; brings the status of then."""
-
-    watch: WatchRequest
-    condition: Callable[[Status], bool]
-
-
-Step = Ask | Reconnect | Pause | Until
-T = TypeVar("T")
-Verb = Generator[Step, Any, T]
-
-
-def asked(
-    request: Request, timeout_s: float, clock: Callable[[], float], patience_s: float | None = None
-) -> Verb[JsonObject]:
-    """Ask; a `stop` or `disarm` whose connection ends without an answer is asked for again, over a new one."""
-    end_s = clock() + timeout_s
-    while True:
-        try:
-            answer: JsonObject = yield Ask(request, patience_s)
-        except (Unreachable, Refused) as error:
-            if not isinstance(request, REPEATED) or error.code not in {Reason.LOST, RefusalCode.TOO_MANY_CLIENTS}:
-                raise
-            yield Pause(_PAUSE_S)
-            left_s = end_s - clock()
-            if left_s <= 0.0:
-                raise
-            try:
-                yield Reconnect(left_s)
-            except ServoError:
-                raise error from None
-        else:
-            return answer
 
 
 class Verbs:
