@@ -12,6 +12,7 @@ import pytest
 from tests.service.operators import serve
 from tools.soak import hostile
 from tools.soak.hostile_clients import HostileClients
+from tools.soak.hostile_processes import HostileProcesses
 from tools.soak.hub_gate import HubGate, Mode
 from twostage_servo.api.requests import StopRequest
 from twostage_servo.client.async_connection import AsyncConnection
@@ -52,7 +53,7 @@ def test_a_run_that_did_not_come_to_a_comparison_is_broken(tmp_path: Path) -> No
 def test_what_the_clients_did_is_added_up_over_all_that_were_killed(tmp_path: Path) -> None:
     (tmp_path / "counts-1.json").write_text('{"abort": 3, "read": 1}', encoding="utf-8")
     (tmp_path / "counts-2.json").write_text('{"abort": 4}', encoding="utf-8")
-    assert hostile.Hostility(tmp_path, 1).counts() == {"abort": 7, "read": 1}
+    assert HostileProcesses(tmp_path).counts() == {"abort": 7, "read": 1}
 
 
 async def through(script: Callable[[HubGate], Awaitable[None]]) -> None:
