@@ -401,8 +401,7 @@ def test_a_drive_with_an_error_word_alone_trips_the_axis() -> None:
 
     async def script(world: World) -> None:
         await world.cruising()
-        world.drive._disable()
-        world.drive._fault_code = 3
+        world.drive.change(asyncio.get_running_loop().time(), fault_code=3)
         await world.seconds(0.03)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.DRIVE_FAULT

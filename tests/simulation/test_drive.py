@@ -14,7 +14,7 @@ from twostage_servo.axis.messages import Feedback, Heartbeat
 from twostage_servo.drives.dbc.profile import DriveProfile
 from twostage_servo.drives.dbc.settings import CommandSettings, FeedbackSettings, ProtocolSettings
 from twostage_servo.drives.frame import SentFrame
-from twostage_servo.simulation.drive import COMMAND_TIMEOUT_FAULT
+from twostage_servo.simulation.power_stage import COMMAND_TIMEOUT_FAULT
 from twostage_servo.simulation.settings import SimulationSettings
 
 
