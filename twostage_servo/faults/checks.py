@@ -151,7 +151,7 @@ async def only_off_the_switch(world: World) -> str | None:
     for request, wanted in (("reset", State.TRIPPED), ("arm", State.DISARMED)):
         if state is wanted:
             await world.until(lambda: axis.state is State.TRIPPED or axis.ready_to_arm, _PATIENCE_S)
-            if code := world.ask({"op": request}):
+            if code := world.clients.ask({"op": request}):
                 return f"`{request}` was refused after the trip: {code}"
             state = State.DISARMED
     if not await world.until(lambda: axis.state is State.HOLDING, _PATIENCE_S):
@@ -159,9 +159,9 @@ async def only_off_the_switch(world: World) -> str | None:
     place = world.place()
     way = world.heading * _OFF_THE_SWITCH_WINDOWS * axis.settings.window.position
     for towards in ({"op": "move", "by": way}, {"op": "jog", "velocity": world.heading * world.velocity}):
-        if (code := world.ask(towards)) != RefusalCode.LIMIT_SWITCH:
+        if (code := world.clients.ask(towards)) != RefusalCode.LIMIT_SWITCH:
             return f"`{towards['op']}` towards the switch was {f'refused: {code}' if code else 'carried out'}"
-    if code := world.ask({"op": "move", "by": -way}):
+    if code := world.clients.ask({"op": "move", "by": -way}):
         return f"a move off the switch was refused: {code}"
     await world.until(lambda: axis.state in {State.HOLDING, State.TRIPPED}, 10.0 * _PATIENCE_S)
     if axis.trip is not None:
@@ -231,11 +231,11 @@ async def still_enabled_is_told(world: World) -> str | None:
     axis = world.axis
     if TripCode.DRIVE_NOT_DISABLED not in axis.trips:
         return f"the trips are {', '.join(axis.trips) or 'none'}"
-    if (code := world.ask({"op": "reset"})) != TripCode.DRIVE_NOT_DISABLED:
+    if (code := world.clients.ask({"op": "reset"})) != TripCode.DRIVE_NOT_DISABLED:
         return f"`reset` was {f'refused: {code}' if code else 'carried out'} while the drive is enabled"
     world.change(stays_enabled=False)
     await world.until(lambda: not axis.lasting, _PATIENCE_S)
-    if code := world.ask({"op": "reset"}):
+    if code := world.clients.ask({"op": "reset"}):
         return f"`reset` was refused when the drive was disabled: {code}"
     return None
 

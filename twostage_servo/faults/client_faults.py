@@ -11,8 +11,9 @@ from twostage_servo.api.requests import ArmRequest, StatusRequest
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import State
 from twostage_servo.client.errors import Refused, ServoError
+from twostage_servo.faults.clients import OPERATOR
 from twostage_servo.faults.host_faults import suspend
-from twostage_servo.faults.world import OPERATOR, World
+from twostage_servo.faults.world import World
 from twostage_servo.service.background_server import Priority
 
 FREEZE_S: Final = 1.5
@@ -29,12 +30,12 @@ def leave_too_soon(world: World, _: Random) -> None:
     """Let a client ask for motion while others are served, and go before it is its turn."""
     _count_what_is_carried_out(world)
     world.requests.authority.release(OPERATOR)
-    world.spawn(_leave_too_soon(world))
+    world.clients.spawn(_leave_too_soon(world))
 
 
 async def _leave_too_soon(world: World) -> None:
     async with world.loop.parts.background.slot(Priority.REQUEST):
-        async with world.bad_client() as (_, writer):
+        async with world.clients.open_socket() as (_, writer):
             writer.write(b'{"op": "move", "by": 1.0}\n{"op": "home", "position": 0.0}\n{"op": "arm"}\n')
         await writer.wait_closed()
         await asyncio.sleep(3.0 * world.period_s)
@@ -50,10 +51,10 @@ def freeze(world: World, random: Random) -> None:
     _count_what_is_carried_out(world)
     world.requests.authority.release(OPERATOR)
     if world.axis.state is State.DISARMED:
-        world.spawn(_hold_requests_up(world))
+        world.clients.spawn(_hold_requests_up(world))
     else:
         suspend(FREEZE_S)(world, random)
-    world.spawn(_ask_and_wait(world))
+    world.clients.spawn(_ask_and_wait(world))
 
 
 async def _hold_requests_up(world: World) -> None:
@@ -63,7 +64,7 @@ async def _hold_requests_up(world: World) -> None:
 
 async def _ask_and_wait(world: World) -> None:
     await asyncio.sleep(2.0 * world.period_s)  # by then it stands still
-    async with world.client() as client:
+    async with world.clients.connect() as client:
         try:
             await client.ask(ArmRequest())
         except Refused as refused:
@@ -74,11 +75,11 @@ async def _ask_and_wait(world: World) -> None:
 
 def half_closed(world: World, _: Random) -> None:
     """Let more clients than are possible ask for much, say that no more will come, and read nothing."""
-    world.spawn(_half_closed(world))
+    world.clients.spawn(_half_closed(world))
 
 
 async def _half_closed(world: World) -> None:
-    async with world.bad_client() as (_, writer):
+    async with world.clients.open_socket() as (_, writer):
         path = writer.get_extra_info("peername")
         with contextlib.ExitStack() as stack:
             for _ in range(_HALF_CLOSED):
@@ -95,7 +96,7 @@ def heavy_lines(world: World, _: Random) -> None:
     """Let clients ask, again and again, for what takes the longest to be found wrong."""
     end_s = world.now_s + _FLOOD_S
     for number in range(_HEAVY):
-        world.spawn(_heavy_lines(world, number * 0.1 * world.period_s, end_s))
+        world.clients.spawn(_heavy_lines(world, number * 0.1 * world.period_s, end_s))
 
 
 async def _heavy_lines(world: World, begin_s: float, end_s: float) -> None:
@@ -103,7 +104,7 @@ async def _heavy_lines(world: World, begin_s: float, end_s: float) -> None:
     body = b"".join(b',"%x":""' % number for number in range(LONGEST_LINE))[: LONGEST_LINE - len(head) - len(foot)]
     line = head + body[: body.rindex(b",")] + foot
     await asyncio.sleep(begin_s)
-    async with world.bad_client() as (reader, writer):
+    async with world.clients.open_socket() as (reader, writer):
         while world.now_s < end_s:
             writer.write(line)
             if not await reader.readline():
@@ -124,7 +125,7 @@ async def has_expired(world: World) -> str | None:
 async def serves_others(world: World) -> str | None:
     """Check that a new client is answered, and that the others were kept within their number."""
     try:
-        async with world.client() as client:
+        async with world.clients.connect() as client:
             await client.ask(StatusRequest())
     except ServoError as error:
         return f"a new client is not served: {error}"

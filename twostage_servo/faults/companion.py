@@ -1,8 +1,10 @@
-"""Another axis of the machine: it moves while the fault comes, and does then what `fault_reaction` says."""
+"""The other axes of the machine: they move while the fault comes, and do then what `fault_reaction` says."""
 
 import contextlib
+from collections.abc import Awaitable, Callable
 from typing import TYPE_CHECKING
 
+from twostage_servo.app.closed_loop import ClosedLoop
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.simulation.drive import SimulatedDrive
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
 _LONGEST_RUN_S = 60.0
 """For so long its way has to be free."""
 _FREE_SHARE = 0.9
+_TO_REST_S = 3.0
+"""How long the other axes may take to come to rest."""
 
 
 class Companion:
@@ -117,3 +121,54 @@ class Companion:
         if tripped and reaction == "quick_stop" and State.QUICK_STOPPING not in self.states:
             return f"axis {name} came to rest without its quick stop"
         return f"axis {name} has latched" if self.states & LATCHED else ""
+
+
+class Companions:
+    """All axes beside the one that has the fault.
+
+    Parameters
+    ----------
+    loop
+        The service and its axes.
+    axis_name
+        The axis that has the fault.
+    until
+        Waits until a condition holds, for a simulated time in s at most.
+    """
+
+    def __init__(
+        self, loop: ClosedLoop, axis_name: str, until: Callable[[Callable[[], bool], float], Awaitable[bool]]
+    ) -> None:
+        self._axis_loop = loop.axes[axis_name].axis_loop
+        self._fault_reaction = loop.parts.machine.fault_reaction
+        self._listen = loop.listen
+        self._until = until
+        self._all = [
+            Companion(one.axis_loop, one.drive, one.node) for name, one in loop.axes.items() if name != axis_name
+        ]
+
+    async def start(self, longest_s: float) -> None:
+        """Arm them and let them jog."""
+        for companion in self._all:
+            self._listen(companion.on_tick)
+        await self._until(lambda: all(companion.ready for companion in self._all), longest_s)
+        for companion in self._all:
+            companion.begin()
+        await self._until(lambda: all(companion.jogs for companion in self._all), longest_s)
+
+    def forget(self) -> None:
+        """Note from here on what they do."""
+        for companion in self._all:
+            companion.forget()
+
+    async def complaint(self, *, shared: bool) -> str:
+        """Return what they have done wrong; they are given the time to come to rest."""
+
+        def complaints() -> str:
+            tripped = self._axis_loop.axis.trip is not None
+            each = (one.complaint(self._fault_reaction, tripped=tripped, shared=shared) for one in self._all)
+            return "; ".join(filter(None, each))
+
+        if complaints():
+            await self._until(lambda: not complaints(), _TO_REST_S)
+        return complaints()

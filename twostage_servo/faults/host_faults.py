@@ -15,7 +15,8 @@ import structlog
 
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.trips import Reaction
-from twostage_servo.faults.world import OPERATOR, World
+from twostage_servo.faults.clients import OPERATOR
+from twostage_servo.faults.world import World
 from twostage_servo.service.log import open_log
 from twostage_servo.telemetry.trip_files import TripFiles
 
@@ -128,15 +129,15 @@ class _StuckStream:
 
 def flood(world: World, _: Random) -> None:
     """Let a client ask 200 times in each of 10 ticks, and two watch every tick without reading."""
-    world.spawn(_flood(world, world.now_s + 10.0 * world.period_s))
+    world.clients.spawn(_flood(world, world.now_s + 10.0 * world.period_s))
 
 
 async def _flood(world: World, end_s: float) -> None:
     async with contextlib.AsyncExitStack() as stack:
-        watchers = [await stack.enter_async_context(world.bad_client()) for _ in range(2)]
+        watchers = [await stack.enter_async_context(world.clients.open_socket()) for _ in range(2)]
         for _, writer in watchers:
             writer.write(b'{"op": "watch", "every": 1}\n')
-        reader, writer = await stack.enter_async_context(world.bad_client())
+        reader, writer = await stack.enter_async_context(world.clients.open_socket())
         while world.now_s < end_s:
             writer.write(b'{"op": "status"}\n' * 200)
             for _ in range(200):
@@ -158,7 +159,7 @@ def bad_set_points(world: World, _: Random) -> None:
         '{"op": "jog", "velocity": NaN}',
     ]
     for line in lines:
-        world.refusals.append(world.ask(line))
+        world.refusals.append(world.clients.ask(line))
 
 
 def second_client(world: World, _: Random) -> None:
@@ -166,7 +167,7 @@ def second_client(world: World, _: Random) -> None:
     world.requests.authority.acquire(OPERATOR)
     target = world.drive.position
     for request in ({"op": "move", "position": target}, {"op": "arm"}, {"op": "reset"}, {"op": "jog", "velocity": 1.0}):
-        world.refusals.append(world.ask(request, ANOTHER))
+        world.refusals.append(world.clients.ask(request, ANOTHER))
 
 
 def client_dies(world: World, _: Random) -> None:
@@ -177,7 +178,7 @@ def client_dies(world: World, _: Random) -> None:
 
 def reload(world: World, _: Random) -> None:
     """Ask the service to read its configuration again."""
-    world.spawn(_reload(world))
+    world.clients.spawn(_reload(world))
 
 
 async def _reload(world: World) -> None:
@@ -186,7 +187,7 @@ async def _reload(world: World) -> None:
     except Refused as refused:
         world.refusals.append(refused.code)
     else:
-        world.refusals.append(world.ask('{"op": "reload"}'))
+        world.refusals.append(world.clients.ask('{"op": "reload"}'))
     world.requests.authority.release(OPERATOR)
 
 

@@ -206,12 +206,12 @@ async def _after_the_trip(world: World, expected_error: str) -> str | None:
 
 def delete_socket(world: World, _: Random) -> None:
     """Delete the control socket, while an operator is connected."""
-    world.spawn(_delete_socket(world))
+    world.clients.spawn(_delete_socket(world))
 
 
 async def _delete_socket(world: World) -> None:
-    async with world.client() as client:
-        world.socket_path.unlink()
+    async with world.clients.connect() as client:
+        world.clients.socket_path.unlink()
         for _ in range(5):
             await asyncio.sleep(1.0)
             try:

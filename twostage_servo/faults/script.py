@@ -110,7 +110,7 @@ class Script:
                 raise NotOperableError(f"the axis could not be armed before the fault: {obstacle and obstacle[1]}")
             if not world.axis.referenced:
                 world.axis.set_position(world.drive.position)
-            await world.start_companions(_READY_S)
+            await world.companions.start(_READY_S)
             await self._reach_the_phase(world)
             await world.seconds(self._random.uniform(0.0, world.period_s))
             if self._phase in BRAKED:
@@ -119,7 +119,7 @@ class Script:
             if self._phase is Phase.HOLDING:
                 world.turn_back()  # with the next move
             fault_s, self._states_before = world.now_s, len(world.samples)
-            world.forget_companions()
+            world.companions.forget()
             self._begun_s, self._place = fault_s, world.place()
             self._fault_place = self._place
             world.begin_fault(fault_s, self._place, () if self._reference is None else self._reference.samples)
@@ -133,7 +133,7 @@ class Script:
             # What a check does to the axis is no travel any more.
             samples, ended_s = list(world.samples), world.now_s
             at_rest = abs(world.drive.velocity) <= world.axis.design.rest_velocity
-            wrong = await world.companions_complaint(shared=self._fault.shared) if self._inject else ""
+            wrong = await world.companions.complaint(shared=self._fault.shared) if self._inject else ""
             if self._fault.check is not None and self._inject:
                 wrong = "; ".join(filter(None, (wrong, await self._fault.check(world))))
             return Outcome(

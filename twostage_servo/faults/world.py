@@ -1,44 +1,30 @@
 """The running service, its drives, its bus and its clients in simulated time, each of which can be made to fail."""
 
 import asyncio
-import json
 import math
 import tempfile
 import threading
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import ExitStack, asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from twostage_servo.api.request_reading import parse_request
-from twostage_servo.api.requests import BadRequestError
 from twostage_servo.app.closed_loop import SERVICE, ClosedLoop, HeldTicks, Wires, closed_loop
 from twostage_servo.axis.axis import Axis
-from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.canbus.link import BusSettings
-from twostage_servo.client.async_connection import AsyncConnection
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
-from twostage_servo.faults.companion import Companion
+from twostage_servo.faults.clients import Clients
+from twostage_servo.faults.companion import Companions
 from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
-    from twostage_servo.service.control_socket import ControlSocket
     from twostage_servo.service.log import LogWriter
 
-__all__ = ["DRIVE", "OPERATOR", "SERVICE", "Sample", "World", "operate"]
+__all__ = ["DRIVE", "SERVICE", "Sample", "World", "operate"]
 
 DRIVE = "drive"
 """Name of the node of the drive that has the fault; that of the service is :data:`SERVICE`."""
-
-OPERATOR = "operator"
-"""The client who commands the axis."""
-
-_LONGEST_ANSWER_S = 30.0
-"""How long an answer may take, in simulated time: longer than anything that holds the service up."""
-
-_TO_REST_S = 3.0
-"""How long the other axes may take to come to rest."""
 
 _BUS = BusSettings(interface="socketcan", channel="can0", reopen_interval_ms=50.0)
 """What the simulated bus stands for: its error frames are those of Linux' SocketCAN."""
@@ -63,10 +49,12 @@ class World:
         All of it.
     service, requests, axis_loop, drive, node, wire, wires, ticks
         The parts, each with its own ways to fail; axis_loop and drive are those of the axis that has the fault.
-    companions, fault_reaction
-        The other axes of the machine, and what they do when one trips.
+    companions
+        The other axes of the machine.
     simulation
         The true drive's settings.
+    clients
+        Those who ask something of the service.
     samples, keeps_samples
         The true axis, a sample a tick; and whether they are kept.
     serving
@@ -95,14 +83,12 @@ class World:
         self.wires = wires
         self.wire = wires.wire(parts.axis_loop(axis_name).bus.link.settings)
         self.service, self.requests = loop.service, loop.requests
-        self.fault_reaction = parts.machine.fault_reaction
         self.axis_loop = parts.axis_loop(axis_name)
         self.simulation = parts.machine.axis(axis_name).config.simulation
         self.ticks = ticks
         self.drive, self.node = loop.axes[axis_name].drive, loop.axes[axis_name].node
-        self.companions = [
-            Companion(one.axis_loop, one.drive, one.node) for name, one in loop.axes.items() if name != axis_name
-        ]
+        self.companions = Companions(loop, axis_name, self.until)
+        self.clients = Clients(loop, axis_name, lambda: self.folder)
         self.samples: list[Sample] = []
         self.keeps_samples = True
         self.serving = loop.serving
@@ -114,8 +100,6 @@ class World:
         self.refusals: list[str | None] = []
         self.log: LogWriter | None = None
         self.log_released = threading.Event()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._socket: ControlSocket | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.held = ExitStack()
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
@@ -185,45 +169,6 @@ class World:
         """Do something after a simulated time in s."""
         asyncio.get_running_loop().call_later(delay_s, act)
 
-    def spawn(self, work: Coroutine[Any, Any, None]) -> None:
-        """Let a client work beside the service, until it is done or the world ends."""
-        task = asyncio.get_running_loop().create_task(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    @asynccontextmanager
-    async def client(self) -> AsyncIterator[AsyncConnection]:
-        """Connect to the service's control socket as a client that keeps to the protocol.
-
-        Raises
-        ------
-        ServoError
-            If no service answers there.
-        """
-        await self._serve_clients()
-        connection = AsyncConnection(self.socket_path, _LONGEST_ANSWER_S)
-        await connection.open(_LONGEST_ANSWER_S)
-        try:
-            yield connection
-        finally:
-            connection.close()
-
-    @asynccontextmanager
-    async def bad_client(self) -> AsyncIterator[tuple[asyncio.StreamReader, asyncio.StreamWriter]]:
-        """Connect as one who sends what no client of ours does, or does not read; so it has the socket itself."""
-        await self._serve_clients()
-        reader, writer = await asyncio.open_unix_connection(str(self.socket_path), limit=1 << 20)
-        try:
-            yield reader, writer
-        finally:
-            writer.close()
-
-    async def _serve_clients(self) -> None:
-        """Serve the control socket, from the first client on."""
-        if self._socket is None:
-            self._socket = self.loop.control_socket(self.socket_path)
-            await self._socket.start()
-
     @property
     def folder(self) -> Path:
         """A folder for files of this world, which goes with it."""
@@ -231,64 +176,16 @@ class World:
             self._folder = tempfile.TemporaryDirectory(prefix="twostage-servo-")
         return Path(self._folder.name)
 
-    @property
-    def socket_path(self) -> Path:
-        """The path of the control socket."""
-        return self.folder / "control.sock"
-
     def look_without_ticks(self, *_: object) -> None:
         """Look, once a period, whether what is waited for has come, after the service has ended."""
         self._look()
         if self._waiting is not None and not self._waiting[1].done():
             self.later(self.period_s, self.look_without_ticks)
 
-    def ask(self, request: str | dict[str, Any], client: str = OPERATOR) -> str | None:
-        """Make a request of a client; return the code with which it is refused, or None if it was carried out."""
-        line = request if isinstance(request, str) else json.dumps(request)
-        if self.companions and '"op": "reload"' not in line:
-            line = f'{line.rstrip()[:-1]}, "axis": {json.dumps(self.axis_loop.name)}}}'
-        try:
-            self.requests.handle(parse_request(line.encode()), client)
-        except BadRequestError:
-            return RefusalCode.BAD_REQUEST
-        except Refused as refused:
-            return refused.code
-        return None
-
-    async def start_companions(self, longest_s: float) -> None:
-        """Arm the other axes and let them jog."""
-        for companion in self.companions:
-            self.loop.listen(companion.on_tick)
-        await self.until(lambda: all(companion.ready for companion in self.companions), longest_s)
-        for companion in self.companions:
-            companion.begin()
-        await self.until(lambda: all(companion.jogs for companion in self.companions), longest_s)
-
-    def forget_companions(self) -> None:
-        """Note from here on what the other axes do."""
-        for companion in self.companions:
-            companion.forget()
-
-    async def companions_complaint(self, *, shared: bool) -> str:
-        """Return what the other axes have done wrong; they are given the time to come to rest."""
-
-        def complaints() -> str:
-            tripped = self.axis.trip is not None
-            each = (one.complaint(self.fault_reaction, tripped=tripped, shared=shared) for one in self.companions)
-            return "; ".join(filter(None, each))
-
-        if complaints():
-            await self.until(lambda: not complaints(), _TO_REST_S)
-        return complaints()
-
     async def close(self) -> None:
         """End the clients, and let the log's reader go on."""
         self.held.close()
-        for task in list(self._tasks):
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
-        if self._socket is not None:
-            await self._socket.stop()
+        await self.clients.close()
         if self._folder is not None:
             self._folder.cleanup()
         self.log_released.set()
