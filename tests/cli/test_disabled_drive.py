@@ -39,10 +39,10 @@ def snapshots() -> Snapshots:
         world.drive.change(world.ticks._index * 0.01 + 0.001, stays_enabled=True, load=-1.0)
         world.axis.disarm()
         await world.seconds(0.1)
-        world.wire.disturb = lambda sender, message, _: [] if sender == "drive" else [(0.0, message)]
+        world.wire.disturb(lambda sender, message, _: [] if sender == "drive" else [(0.0, message)])
         await world.seconds(0.1)
         tell("silent", world)
-        world.wire.disturb = None
+        world.wire.restore()
         await world.until(lambda: world.state() is State.TRIPPED)
         await world.seconds(0.5)
         tell("not disabled", world)

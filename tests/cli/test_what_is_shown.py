@@ -31,14 +31,14 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Snapshots:
         told["start"] = json.loads(json.dumps(world.loop.snapshot()))
         await world.until(lambda: world.axis.ready_to_arm)
         tell("disarmed", world)
-        world.wire.disturb = lambda sender, message, _: [] if sender == "drive" else [(0.0, message)]
+        world.wire.disturb(lambda sender, message, _: [] if sender == "drive" else [(0.0, message)])
         await world.seconds(0.1)
         tell("silent", world)
         world.axis_loop.bus.error = "socketcan can0 cannot be opened: Network is down."
         world.axis.drive.forget()
         tell("closed", world)
         world.axis_loop.bus.error = None
-        world.wire.disturb = None
+        world.wire.restore()
         world.loop.trip_files.files = TripFiles(folder / "file" / "trips")
         await world.armed()
         world.axis.raise_trip(TripCode.SPEED_UNREACHABLE, "it does not come to that")

@@ -89,9 +89,9 @@ def test_a_drive_that_was_lost_with_its_bus_is_started_again() -> None:
     async def script(world: World) -> None:
         await world.armed()
         started = [data for _, _, number, data in world.trace if number == 0]
-        world.wire.node("service").down = True
+        world.wire.node("service").take_down()
         await world.seconds(0.1)
-        world.wire.node("service").down = False
+        world.wire.node("service").bring_up()
         await world.until(lambda: world.axis_loop.bus.error is None)
         await world.seconds(0.1)
         assert [data for _, _, number, data in world.trace if number == 0] == 2 * started == 2 * [bytes((1, 5))]

@@ -39,7 +39,7 @@ EVERY_BUS = pytest.mark.parametrize(("bus", "opener"), OPENERS.values(), ids=OPE
 def flood(world: World, frames_a_tick: int) -> None:
     """Let foreign frames arrive each tick from now on, none of which the transport loses."""
     node = world.wire.node("service")
-    node.queue_length = 1_000_000
+    node.set_queue_length(1_000_000)
 
     def after_each_tick(_: Tick) -> None:
         for _frame in range(frames_a_tick):
@@ -132,7 +132,7 @@ def test_what_waits_after_a_suspension_is_read_in_the_next_tick(bus, opener) -> 
 
     async def script(world: World) -> None:
         node = world.wire.node("service")
-        node.queue_length = 1_000_000
+        node.set_queue_length(1_000_000)
         await world.cruising()
         world.ticks.hold_s = 0.031
         await world.seconds(0.015)

@@ -220,11 +220,11 @@ def test_it_is_told_after_the_bus_has_come_back() -> None:
     async def script(world: World) -> None:
         await world.cruising(velocity=20.0)
         change(world, stays_enabled=True)
-        world.wire.node("service").receive_error = OSError(100, "Network is down")
+        world.wire.node("service").fail_to_receive(OSError(100, "Network is down"))
         await world.until(lambda: world.axis.trip is not None)
         await world.seconds(3.0)
         assert codes(world) == ["bus_failed"]  # nobody hears it, so nothing is known of it
-        world.wire.node("service").receive_error = None
+        world.wire.node("service").fail_to_receive(None)
         await world.until(lambda: world.axis_loop.bus.error is None)
         await world.seconds(1.0)
         assert codes(world) == ["bus_failed", "drive_not_disabled"]
@@ -236,7 +236,7 @@ def test_what_is_known_outlives_the_bus() -> None:
     async def script(world: World) -> None:
         await stuck_after_disarm(world)
         await world.until(lambda: world.axis.trip is not None)
-        world.wire.node("service").receive_error = OSError(100, "Network is down")
+        world.wire.node("service").fail_to_receive(OSError(100, "Network is down"))
         await world.seconds(3.0)
         assert world.axis_loop.bus.error is not None
         with pytest.raises(Refused, match="told to disable"):
@@ -294,7 +294,7 @@ def test_a_service_that_ends_does_not_wait_for_a_drive_that_obeys(*, armed: bool
 def test_a_service_that_ends_does_not_wait_for_a_drive_that_is_silent() -> None:
     async def script(world: World) -> None:
         await world.cruising(velocity=20.0)
-        world.wire.disturb = lambda sender, message, _: [] if sender == "drive" else [(0.0, message)]
+        world.wire.disturb(lambda sender, message, _: [] if sender == "drive" else [(0.0, message)])
         await world.until(lambda: world.state() is State.TRIPPED)
         begun_s = now_s()
         world.service.shut_down()

@@ -181,7 +181,7 @@ def full(world: World, pattern: Callable[[int], bool]) -> None:
 
     def set_for_the_next(_: object) -> None:
         number = world.ticks._index + 1 - first
-        node.send_error = can.CanOperationError("Transmit buffer full") if pattern(number) else None
+        node.fail_to_send(can.CanOperationError("Transmit buffer full") if pattern(number) else None)
 
     world.loop.listen(set_for_the_next)
 

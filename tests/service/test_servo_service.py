@@ -219,13 +219,13 @@ def test_a_bus_that_opens_and_fails_at_once_is_not_opened_in_every_tick(monkeypa
             open_link()
 
         monkeypatch.setattr(link, "open", opened)
-        world.wire.node("service").receive_error = OSError(100, "Network is down")
+        world.wire.node("service").fail_to_receive(OSError(100, "Network is down"))
         await world.seconds(5.0)
         assert world.axis.trip is not None
         assert world.axis.trip.code is TripCode.BUS_FAILED
         assert len(opened_at) == 5
         assert min(later - one for one, later in itertools.pairwise(opened_at)) > 0.98
-        world.wire.node("service").receive_error = None
+        world.wire.node("service").fail_to_receive(None)
         await world.seconds(1.1)
         assert world.axis_loop.bus.error is None
         assert world.state() is State.TRIPPED
@@ -451,7 +451,7 @@ def test_a_bus_that_is_being_opened_is_closed_at_the_end(monkeypatch: pytest.Mon
 def test_how_old_feedback_is_and_how_long_its_answer_takes_is_told_where_it_was_measured() -> None:
     async def script(world: World) -> Any:
         before = world.loop.snapshot()["frames"]
-        world.wire.disturb = lambda sender, frame, _: [(0.003 if sender == "drive" else 0.0, frame)]
+        world.wire.disturb(lambda sender, frame, _: [(0.003 if sender == "drive" else 0.0, frame)])
         await world.seconds(1.0)
         return before, world.loop.snapshot()["frames"]
 

@@ -376,12 +376,12 @@ def test_a_bus_that_fails_trips_the_axes_on_it_and_no_others(tmp_path: Path) -> 
         await plant.armed()
         plant.ask(op="move", positions={"x": 400.0, "y": 400.0, "z": 400.0})
         await asyncio.sleep(1.5)
-        plant.wires["can0"].node("service").down = True
+        plant.wires["can0"].node("service").take_down()
         await asyncio.sleep(0.1)
         assert plant.states() == [State.TRIPPED, State.TRIPPED, State.SPEED_STAGE]
         await plant.until(lambda: plant.axis("z").state is State.HOLDING)
         assert plant.drives["z"].position == pytest.approx(400.0, abs=0.05)
-        plant.wires["can0"].node("service").down = False
+        plant.wires["can0"].node("service").bring_up()
         await plant.until(lambda: plant.service.buses[0].error is None)
         assert plant.states() == [State.TRIPPED, State.TRIPPED, State.HOLDING]
 

@@ -98,7 +98,7 @@ def test_a_disturbance_may_change_one_message_between_its_deliveries(rig: Rig) -
         message.data[0] += 1
         yield 0.25, message
 
-    rig.wire.disturb = disturb
+    rig.wire.disturb(disturb)
     rig.send(1)
     rig.clock.now_s += 0.25
     assert rig.received(rig.b) == rig.received(rig.c) == [(1, 5.0), (2, 5.25)]
@@ -122,7 +122,7 @@ def test_what_is_lost_doubled_or_late_arrives_so_whenever_somebody_looks(delays:
         assert (sender, now_s) == ("a", rig.clock.now_s)
         return [(delay_s, message) for delay_s in delays[message.data[0]]]
 
-    rig.wire.disturb = disturb
+    rig.wire.disturb(disturb)
     expected = [(5.0 + 0.01 * number + delay_s, number) for number, copies in enumerate(delays) for delay_s in copies]
     seen: list[tuple[int, float]] = []
     for number in range(len(delays)):
@@ -141,7 +141,7 @@ def test_what_is_lost_doubled_or_late_arrives_so_whenever_somebody_looks(delays:
 
 
 def test_a_late_frame_comes_behind_a_later_one(rig: Rig) -> None:
-    rig.wire.disturb = lambda _, message, __: [(0.009 if message.data[0] == 1 else 0.0, message)]
+    rig.wire.disturb(lambda _, message, __: [(0.009 if message.data[0] == 1 else 0.0, message)])
     rig.send(1)
     rig.clock.now_s += 0.005
     rig.send(2)
@@ -155,7 +155,7 @@ def test_a_disturbance_may_damage_a_frame(rig: Rig, profile: DriveProfile) -> No
         message.data[0] ^= 1
         return [(0.0, message)]
 
-    rig.wire.disturb = flip_a_bit
+    rig.wire.disturb(flip_a_bit)
     data = profile.encode_command(1.0, enable=True, counter=1)
     rig.a.send(can.Message(arbitration_id=0x201, is_extended_id=False, data=data))
     received = rig.b.recv(0)
@@ -176,7 +176,7 @@ def test_a_disturbance_may_damage_a_frame(rig: Rig, profile: DriveProfile) -> No
     ids=["error", "remote", "extended", "FD", "empty"],
 )
 def test_any_frame_can_be_put_into_one_node(rig: Rig, message: can.Message) -> None:
-    rig.wire.disturb = lambda *_: []
+    rig.wire.disturb(lambda *_: [])
     rig.wire.node("b").inject(message)
     received = rig.b.recv(0)
     assert received is not None
@@ -196,18 +196,18 @@ def test_a_bus_that_is_full_or_fails_does_so_at_its_node_alone(rig: Rig) -> None
     link = Link(SETTINGS, [FEEDBACK], partial(rig.wire.attach, "link"))
     link.open()
     node = rig.wire.node("link")
-    node.send_error = can.CanOperationError("No buffer space available", errno.ENOBUFS)
+    node.fail_to_send(can.CanOperationError("No buffer space available", errno.ENOBUFS))
     assert not link.send(link.prepare(FEEDBACK, b"\1"))
     assert link.counters.dropped == 1
-    node.send_error = None
+    node.fail_to_send(None)
     assert link.send(link.prepare(FEEDBACK, b"\2"))
     assert rig.received(rig.b) == [(2, 5.0)]
-    node.receive_error = OSError(errno.ENODEV, "No such device")
+    node.fail_to_receive(OSError(errno.ENODEV, "No such device"))
     rig.send(3)
     assert rig.received(rig.b) == [(3, 5.0)]
     with pytest.raises(LinkError, match=r"failed while receiving: .*No such device"):
         link.drain()
-    node.receive_error = None
+    node.fail_to_receive(None)
     assert [message.data[0] for message in link.drain()] == [3]
     link.close()
 
@@ -217,7 +217,7 @@ def test_an_interface_that_is_down_fails_until_it_is_up_and_what_came_meanwhile_
     link.open()
     rig.send(1)
     node = rig.wire.node("link")
-    node.down = True
+    node.take_down()
     rig.send(2)
     for fail in (link.drain, partial(link.send, link.prepare(FEEDBACK, b"\1"))):
         with pytest.raises(LinkError, match="Network is down"):
@@ -225,7 +225,7 @@ def test_an_interface_that_is_down_fails_until_it_is_up_and_what_came_meanwhile_
     link.close()
     with pytest.raises(LinkError, match=r"cannot be opened: .*Network is down"):
         link.open()
-    node.down = False
+    node.bring_up()
     link.open()
     assert link.drain() == []
     rig.send(3)
@@ -236,7 +236,7 @@ def test_an_interface_that_is_down_fails_until_it_is_up_and_what_came_meanwhile_
 def test_a_link_tells_the_age_of_its_frames_in_simulated_time(rig: Rig) -> None:
     link = Link(SETTINGS, [FEEDBACK], partial(rig.wire.attach, "link"))
     link.open()
-    rig.wire.disturb = lambda _, message, __: [(0.004, message), (0.01, message)]
+    rig.wire.disturb(lambda _, message, __: [(0.004, message), (0.01, message)])
     rig.send(1)
     rig.clock.now_s += 0.01
     messages = link.drain()
@@ -265,7 +265,7 @@ def test_a_drive_and_a_controller_meet_on_it_in_simulated_time(profile: DrivePro
     async def main() -> tuple[list[tuple[float, float]], list[float | None]]:
         loop = asyncio.get_running_loop()
         wire = Wire(loop.time)
-        wire.disturb = lambda sender, message, _: [(0.003 if sender == "drive" else 0.0, message)]
+        wire.disturb(lambda sender, message, _: [(0.003 if sender == "drive" else 0.0, message)])
         settings = SimulationSettings(command_timeout_ms=1000.0)
         drive = SimulatedDrive(settings, DbcDriveSide(profile), loop.time())
         node = DriveNode(drive, Link(SETTINGS, [profile.command_id], partial(wire.attach, "drive")), 0.001)

@@ -104,8 +104,8 @@ class ServiceMishaps:
         fault(world, random)
         if random.random() < 0.2:
             node = world.wire.node(SERVICE)
-            node.send_error = can.CanOperationError("No buffer space available", errno.ENOBUFS)
-            world.later(random.choice((1.1, 4.0)) * world.period_s, lambda: setattr(node, "send_error", None))
+            node.fail_to_send(can.CanOperationError("No buffer space available", errno.ENOBUFS))
+            world.later(random.choice((1.1, 4.0)) * world.period_s, lambda: node.fail_to_send(None))
 
     async def _disturb_drive(self) -> None:
         random, world = self._random, self._world
@@ -170,7 +170,7 @@ class ServiceMishaps:
             return
         if axis.state not in DRIVEN or self._watch.in_doubt or world.now_s < self._backlog_until_s:
             return
-        world.wire.disturb = None
+        world.wire.restore()
         factor, place = self._random.choice(list(ENCODER_FACTORS.values())), world.place()
         measure = world.drive.faults.measure or (lambda position: position)
         world.change(measure=lambda position: measure(place) + factor * (position - place))

@@ -35,17 +35,21 @@ SERVICE: Final = "service"
 
 
 class HeldTicks(Ticks):
-    """Ticks that a busy host serves late: `hold` gives the time in s by which the next one is held up."""
+    """Ticks that a busy host serves late, see :meth:`hold_up`."""
 
-    __slots__ = ("hold",)
+    __slots__ = ("_hold",)
 
     def __init__(self, period_s: float) -> None:
         super().__init__(period_s)
-        self.hold: Callable[[], float] | None = None
+        self._hold: Callable[[], float] | None = None
+
+    def hold_up(self, hold: Callable[[], float]) -> None:
+        """Let a function give the time in s by which the next tick is held up, from now on."""
+        self._hold = hold
 
     async def __anext__(self) -> Tick:
         """Wait for the next deadline, and for the host."""
-        held_s = self.hold() if self.hold is not None else 0.0
+        held_s = self._hold() if self._hold is not None else 0.0
         if held_s > 0.0 and self._start_s is not None:
             loop = asyncio.get_running_loop()
             await asyncio.sleep(self._start_s + (self._index + 1) * self.period_s - loop.time() + held_s)
@@ -70,6 +74,10 @@ class Wires:
         self.wall_offset_s = 0.0
         self._opener = opener
         self._wires: dict[tuple[str, str | int], Wire] = {}
+
+    def shift_wall_clock(self, by_s: float) -> None:
+        """Set the clock that stamps the frames forwards by a time in s, or back if it is negative."""
+        self.wall_offset_s += by_s
 
     def wire(self, bus: BusSettings) -> Wire:
         """Return the wire that stands for a bus; it is made when it is new."""

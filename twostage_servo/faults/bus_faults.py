@@ -31,7 +31,7 @@ def on_feedback(world: World, act: Callable[[int, can.Message], Deliveries]) -> 
         seen += 1
         return act(seen - 1, message)
 
-    world.wire.disturb = disturb
+    world.wire.disturb(disturb)
 
 
 def _frame_s(world: World) -> float:
@@ -102,14 +102,14 @@ def refuse_to_send(count: int) -> Callable[[World, Random], None]:
 
     def inject(world: World, _: Random) -> None:
         node = world.wire.node(SERVICE)
-        node.send_error = can.CanOperationError("No buffer space available", errno.ENOBUFS)
+        node.fail_to_send(can.CanOperationError("No buffer space available", errno.ENOBUFS))
         left = count
 
         def after_each_tick(_: object) -> None:
             nonlocal left
             left -= 1
             if left <= 0:
-                node.send_error = None
+                node.fail_to_send(None)
 
         world.loop.listen(after_each_tick)
 
@@ -129,8 +129,8 @@ def bus_off(world: World, _: Random) -> None:
 def interface_down(world: World, _: Random) -> None:
     """Take the interface down for 200 ms."""
     node = world.wire.node(SERVICE)
-    node.down = True
-    world.later(0.2, lambda: setattr(node, "down", False))
+    node.take_down()
+    world.later(0.2, node.bring_up)
 
 
 def babble(world: World, random: Random) -> None:
@@ -156,7 +156,7 @@ def back_up(world: World, _: Random) -> None:
     What the drive sends waits behind them, longer with each tick.
     """
     node, link = world.wire.node(SERVICE), world.axis_loop.bus.link
-    node.queue_length = 1_000_000
+    node.set_queue_length(1_000_000)
     known = {one.identifier for axis_loop in world.service.axis_loops for one in axis_loop.drive.decoders}
     foreign = next(number for number in range(0x7FF, 0, -1) if number not in known)
     frame = can.Message(arbitration_id=foreign, is_extended_id=False, is_fd=link.settings.fd, data=bytes(8))
@@ -219,4 +219,4 @@ def corrupt(world: World, random: Random) -> None:
 
 def transmit_dead(world: World, _: Random) -> None:
     """Let nothing that the service sends arrive any more."""
-    world.wire.disturb = lambda sender, frame, _now: [] if sender == SERVICE else [(0.0, frame)]
+    world.wire.disturb(lambda sender, frame, _now: [] if sender == SERVICE else [(0.0, frame)])

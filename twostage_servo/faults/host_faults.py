@@ -36,7 +36,7 @@ def suspend(duration_s: float) -> Injection:
 
     def inject(world: World, _: Random) -> None:
         left = [duration_s]
-        world.ticks.hold = lambda: left.pop() if left else 0.0
+        world.ticks.hold_up(lambda: left.pop() if left else 0.0)
 
     return inject
 
@@ -55,7 +55,7 @@ def after_suspension(duration_s: float, tick_s: float, missed_ticks_allowed: int
 def hog(world: World, random: Random) -> None:
     """Let every tick of the next second be late, by up to the largest share of its period."""
     end_s = world.now_s + 1.0
-    world.ticks.hold = lambda: random.uniform(0.0, LATEST_TICK) * world.period_s if world.now_s < end_s else 0.0
+    world.ticks.hold_up(lambda: random.uniform(0.0, LATEST_TICK) * world.period_s if world.now_s < end_s else 0.0)
 
 
 def defect(world: World, random: Random) -> None:
@@ -84,7 +84,7 @@ def defect_of_a_publisher(world: World, _: Random) -> None:
 
 def wall_clock_jumps(world: World, random: Random) -> None:
     """Set the wall clock by an hour, forwards or back."""
-    world.wires.wall_offset_s += random.choice((-3600.0, 3600.0))
+    world.wires.shift_wall_clock(random.choice((-3600.0, 3600.0)))
 
 
 def full_disk(world: World, _: Random) -> None:

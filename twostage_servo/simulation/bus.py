@@ -26,19 +26,27 @@ class Wire:
     ----------
     clock : callable
         Gives the present time, s; it stamps the frames. For instance ``loop.time`` of a simulated clock.
-
-    Attributes
-    ----------
-    disturb : callable or None
-        Decides what arrives of each frame that a node sends, see :data:`Disturbance`: nothing (lost), two pairs
-        (doubled), a delay (late, and behind later frames), another message (damaged). It may change the message that it
-        is given. None: the frame arrives at once.
     """
 
     def __init__(self, clock: Callable[[], float]) -> None:
         self.clock = clock
-        self.disturb: Disturbance | None = None
+        self._disturbance: Disturbance | None = None
         self._nodes: dict[str, WireNode] = {}
+
+    def disturb(self, disturbance: Disturbance) -> None:
+        """Let a function decide what arrives of each frame that a node sends, in place of the one before.
+
+        Parameters
+        ----------
+        disturbance : callable
+            See :data:`Disturbance`. It gives nothing (lost), two pairs (doubled), a delay (late, and behind later
+            frames), or another message (damaged). It may change the message that it is given.
+        """
+        self._disturbance = disturbance
+
+    def restore(self) -> None:
+        """Let each frame arrive at once, as without a disturbance."""
+        self._disturbance = None
 
     def node(self, name: str) -> "WireNode":
         """Return the node of this name, which outlives the buses that are attached at it; made when it is new."""
@@ -67,7 +75,8 @@ class Wire:
         Each of them makes its own copy when it receives it: listening nodes cost the sender next to nothing.
         """
         now_s = self.clock()
-        arrivals = [(0.0, message)] if self.disturb is None else self.disturb(sender, _copy(message), now_s)
+        disturb = self._disturbance
+        arrivals = [(0.0, message)] if disturb is None else disturb(sender, _copy(message), now_s)
         for delay_s, frame in arrivals:
             arriving = _arriving(frame, now_s + delay_s)
             for name, node in self._nodes.items():
@@ -107,10 +116,27 @@ class WireNode:
         """Whether the interface is down: no bus can be attached, an open one fails, and what arrives is lost."""
         return self._down
 
-    @down.setter
-    def down(self, down: bool) -> None:
-        self._down = down
+    def take_down(self) -> None:
+        """Take the interface down; what waits to be read is lost."""
+        self._down = True
         self._queue.clear()
+
+    def bring_up(self) -> None:
+        """Bring the interface up again, with an empty queue."""
+        self._down = False
+        self._queue.clear()
+
+    def fail_to_send(self, error: BaseException | None) -> None:
+        """Raise an error at each ``send`` of the node's bus; None: send again."""
+        self.send_error = error
+
+    def fail_to_receive(self, error: BaseException | None) -> None:
+        """Raise an error at each ``recv`` of the node's bus; None: receive again."""
+        self.receive_error = error
+
+    def set_queue_length(self, frames: int) -> None:
+        """Let so many frames wait to be read at most, from the next one on."""
+        self.queue_length = frames
 
     def listen(self, listener: Callable[[], None]) -> None:
         """Call a listener for each frame that is on its way to this node, from now on."""
