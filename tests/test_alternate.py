@@ -1,8 +1,22 @@
 """The comparison of two trees: what becomes of the figures of its rounds."""
 
+import sys
+from pathlib import Path
+
 import pytest
 
-from tools.bench.alternate import compare
+from tools.bench.alternate import compare, compile_modules
+
+
+def test_both_trees_have_bytecode_before_a_start_is_timed(tmp_path: Path) -> None:
+    """Where none may be written, the tree that had been started before it came to be so would win."""
+    (tmp_path / ".venv" / "bin").mkdir(parents=True)
+    (tmp_path / ".venv" / "bin" / "python").symlink_to(sys.executable)
+    for folder in ("twostage_servo", "tools"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "module.py").write_text("ONE = 1\n", encoding="utf-8")
+    compile_modules(tmp_path)
+    assert len(list(tmp_path.glob("*/__pycache__/module.*.pyc"))) == 2
 
 
 def test_a_machine_that_slows_down_does_not_change_the_ratio() -> None:

@@ -29,6 +29,12 @@ _RESAMPLES: Final = 10_000
 _SEED: Final = 1
 
 
+def compile_modules(tree: Path) -> None:
+    """Compile the modules of a tree: without its bytecode a start takes 20 ms longer, where none may be written."""
+    command = [str(tree / ".venv" / "bin" / "python"), "-m", "compileall", "-q", "twostage_servo", "tools"]
+    subprocess.run(command, cwd=tree, check=True)  # noqa: S603 - a tree that the user names
+
+
 def measure(tree: Path) -> dict[str, float]:
     """Run the benchmark of a tree, and return the figures.
 
@@ -74,6 +80,8 @@ def main() -> int:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     trees = (options.before.absolute(), options.after.absolute())
+    for tree in trees:
+        compile_modules(tree)
     rounds: list[tuple[dict[str, float], dict[str, float]]] = []
     try:
         for number in range(options.rounds):
