@@ -11,7 +11,7 @@ from tests.service.rig import World, simulate
 from twostage_servo.app import punctual as module
 from twostage_servo.app.punctual import punctual
 from twostage_servo.host import realtime
-from twostage_servo.host.garbage import GarbageCollection
+from twostage_servo.host.garbage import GarbageCollection, postponed
 from twostage_servo.host.realtime import Grant, RealtimeReport
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.service.runtime import Runtime
@@ -125,6 +125,17 @@ def test_garbage_is_collected_between_ticks_as_long_as_the_service_is_punctual()
     finally:
         if not was_enabled:
             gc.disable()
+
+
+def test_python_collects_at_any_time_where_the_settings_say_so_though_the_start_has_postponed_it() -> None:
+    async def script(world: World) -> None:
+        with postponed():
+            assert not gc.isenabled()
+            with punctual_of(world):
+                assert gc.isenabled()
+        assert gc.isenabled()
+
+    simulate(script)
 
 
 @pytest.mark.parametrize("driven", [False, True])

@@ -9,7 +9,7 @@ import structlog
 from twostage_servo.api.status import GarbageStatus, RealtimeStatus, Refusal
 from twostage_servo.axis.state import DRIVEN
 from twostage_servo.host import realtime
-from twostage_servo.host.garbage import GarbageCollection
+from twostage_servo.host.garbage import GarbageCollection, resume
 from twostage_servo.host.realtime import RealtimeReport
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.host.warm_up import warm_up
@@ -57,7 +57,9 @@ def punctual(
         warm_up(lambda law=law: law.step(None))  # type: ignore[misc]
     garbage = GarbageCollection() if settings.collect_garbage == "between_ticks" else None
     idle = () if garbage is None else (_Collector(garbage, axis_loops),)
-    if garbage is not None:
+    if garbage is None:
+        resume()  # the start has postponed it
+    else:
         garbage.begin()
     try:
         yield Runtime(

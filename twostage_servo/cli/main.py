@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import IO, TextIO
+from typing import IO, Final, TextIO
 
 from twostage_servo.cli import operate
 from twostage_servo.cli.output import CommandError, ExitCode, note, print_json
@@ -19,6 +19,10 @@ exit codes: 0 done, 1 its output cannot be written, or a defect, 2 bad usage or 
 did not carry out the command, 4 no service answers, 130 interrupted
 start here: twostage-servo demo
 """
+
+
+LONG_RUNNING: Final = ("run", "drive")
+"""The verbs of :mod:`twostage_servo.cli.serve`."""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -34,9 +38,10 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     Parameters
     ----------
     verb
-        The one that is going to be parsed, if that is known: with one of the operator's, no other is declared.
+        The one that is going to be parsed, if that is known. With one of the operator's, no other is declared. With
+        one that runs for long, only those are: all of them take 10 ms of the service's start.
     """
-    parser = _Parser(
+    parser: argparse.ArgumentParser = _Parser(
         prog="twostage-servo",
         description="Two-stage servo control over CAN: the service, its simulated drive, and the commands to both.",
         epilog=_EPILOG,
@@ -47,7 +52,12 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     if verb in operate.VERBS:
         operate.add_verbs(verbs, verb)
         return parser
-    from twostage_servo.cli import demo, engineer, faults, host, install_service, paper, serve
+    from twostage_servo.cli import serve
+
+    if verb in LONG_RUNNING:
+        serve.add_verbs(verbs)
+        return parser
+    from twostage_servo.cli import demo, engineer, faults, host, install_service, paper
 
     for group in (demo, serve, engineer, host, faults, paper, operate, install_service):
         group.add_verbs(verbs)

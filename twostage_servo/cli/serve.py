@@ -35,6 +35,13 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 
 
 def _run(options: argparse.Namespace) -> int:
+    from twostage_servo.host.garbage import postponed
+
+    with postponed():
+        return _run_service(options)
+
+
+def _run_service(options: argparse.Namespace) -> int:
     from twostage_servo.service.ending_signals import EndingSignals
 
     with EndingSignals() as signals:
