@@ -1,0 +1,1 @@
+"""How well the project's laws and honest baselines move axes that are off their model."""
