@@ -106,6 +106,11 @@ class Part:
         ("object.__setattr__(part, 'on_arrival', act)\n", ["object.__setattr__(part, 'on_arrival', act)"]),
         ("part.listen(act)\n", []),
         ("message.timestamp = 1.0\n", []),
+        ("import sys\nsetattr(sys, name, act)\n", []),
+        ("import threading\nthreading.Thread.on_arrival = act\n", []),
+        ("import threading as t\nt.Thread.on_arrival = act\n", []),
+        ("profile.on_arrival = act\n", ["profile.on_arrival"]),
+        ("import os\npart.os.on_arrival = act\n", ["part.os.on_arrival"]),
     ],
 )
 def test_an_assignment_from_outside_is_found(source: str, found: list[str], tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Snapshots:
         tell("closed", world)
         world.axis_loop.bus.error = None
         world.wire.restore()
-        world.loop.trip_files.files = TripFiles(folder / "file" / "trips")
+        world.loop.trip_files.use(TripFiles(folder / "file" / "trips"))
         await world.armed()
         world.axis.raise_trip(TripCode.SPEED_UNREACHABLE, "it does not come to that")
         world.axis.raise_trip(TripCode.DRIVE_FAULT, "the drive reports fault code 7")

@@ -104,7 +104,7 @@ def test_a_recording_for_which_there_is_no_memory_is_told(
     async def script(world: World) -> None:
         await world.armed()
         if to_a_file:
-            world.loop.trip_files.files = TripFiles(tmp_path)
+            world.loop.trip_files.use(TripFiles(tmp_path))
         monkeypatch.setattr(type(world.axis_loop.recorder), "keep", none_left)
         world.axis.raise_trip(TripCode.STALL, "test")
         await world.seconds(0.1)

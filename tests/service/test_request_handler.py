@@ -54,6 +54,22 @@ def with_an_axis_that_holds(script: Callable[[World, Asking], None]) -> list[Any
     return simulate(main)
 
 
+def test_who_listens_is_told_of_what_was_carried_out_and_not_of_what_was_read_refused_or_dropped() -> None:
+    told: list[tuple[str, str]] = []
+
+    def script(world: World, asking: Asking) -> None:
+        asking.handler.listen(lambda request, client: told.append((request.op, client)))
+        asking.ask(op="status")
+        asking.ask(op="move", position=1e6)
+        asking.ask(Client(gone=True), op="move", position=5.0)
+        asking.ask(op="move", position=5.0)
+        asking.ask(Client(gone=True), op="stop")
+        asking.handler.handle(parse_request(b'{"op": "disarm"}'), "another")
+
+    with_an_axis_that_holds(script)
+    assert told == [("move", "pid 1 uid 2 #3"), ("stop", "pid 1 uid 2 #3"), ("disarm", "another")]
+
+
 def test_what_is_carried_out_is_told_with_who_asked_for_what() -> None:
     def script(world: World, asking: Asking) -> None:
         answer = asking.ask(op="move", position=5.0)

@@ -103,7 +103,7 @@ def test_two_axes_that_trip_one_after_the_other_name_each_its_own_file(tmp_path:
     folder = tmp_path / "trips"
 
     async def script(plant: Plant) -> None:
-        plant.loop.trip_files.files = TripFiles(folder)
+        plant.loop.trip_files.use(TripFiles(folder))
         await plant.armed()
         for name in "xy":
             plant.axis(name).raise_trip(TripCode.OVERSPEED, f"of {name}")
@@ -131,7 +131,7 @@ def test_two_axes_that_trip_one_after_the_other_name_each_its_own_file(tmp_path:
 @pytest.mark.parametrize("trips", [(TripCode.STALL, TripCode.OVERSPEED)])
 def test_a_trip_that_follows_another_is_of_the_same_file(trips: tuple[TripCode, ...], tmp_path: Path) -> None:
     async def script(plant: Plant) -> None:
-        plant.loop.trip_files.files = TripFiles(tmp_path / "trips")
+        plant.loop.trip_files.use(TripFiles(tmp_path / "trips"))
         await plant.armed()
         for code in trips:
             plant.axis("x").raise_trip(code, "one after the other")

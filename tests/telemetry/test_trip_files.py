@@ -37,7 +37,7 @@ def trip_in_mid_move(
 
     async def script(world: World) -> tuple[Trace, dict[str, Any]]:
         if folder is not None:
-            world.loop.trip_files.files = TripFiles(folder)
+            world.loop.trip_files.use(TripFiles(folder))
         await world.cruising()
         await world.seconds(1.0)
         disk()
@@ -83,7 +83,8 @@ def test_the_length_is_the_recordings(tmp_path: Path) -> None:
 
 def test_each_trip_has_its_file(tmp_path: Path) -> None:
     async def script(world: World) -> None:
-        world.loop.trip_files.files = files = TripFiles(tmp_path)
+        files = TripFiles(tmp_path)
+        world.loop.trip_files.use(files)
         for number in range(1, 4):
             await world.armed()
             world.axis.raise_trip(TripCode.OVERSPEED, f"number {number}")
@@ -102,7 +103,7 @@ def test_each_trip_has_its_file(tmp_path: Path) -> None:
 
 def test_numbers_that_are_not_finite_are_null_in_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     async def script(world: World) -> None:
-        world.loop.trip_files.files = TripFiles(tmp_path)
+        world.loop.trip_files.use(TripFiles(tmp_path))
         await world.cruising()
         step = TwoStageLaw.step
         monkeypatch.setattr(TwoStageLaw, "step", lambda law, sample: step(law, sample) + math.nan)
@@ -508,7 +509,7 @@ def test_the_file_of_an_earlier_trip_is_not_told_as_that_of_this_one(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     async def script(world: World) -> None:
-        world.loop.trip_files.files = TripFiles(tmp_path)
+        world.loop.trip_files.use(TripFiles(tmp_path))
         for is_full in (False, True):
             await world.armed()
             if is_full:

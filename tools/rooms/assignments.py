@@ -4,20 +4,18 @@ An object is complete after ``__init__``: what changes in it, its own methods ch
 unless ``x`` is ``self`` or ``cls``, and so does ``setattr``. Two kinds are left out, by the name alone:
 
 - a field of a data class that is not frozen: such a class is a record, and whoever owns one writes it;
-- a name that no class of the package has: the object belongs to a library.
-
-The room ``faults`` is left out too: a fault is what changes a simulated part from outside.
+- a name that no class of the package has: the object belongs to a library. So does what is reached through a module of
+  the standard library.
 """
 
 import ast
 import sys
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
 from tools.rooms.imports import PACKAGE
 
-_LEFT_OUT: Final = ("faults",)
 _OWN: Final = ("self", "cls")
 _OF_LIBRARIES: Final = {("simulation/bus.py", "copied.data")}  # a message of python-can, whose copy shares its bytes
 
@@ -38,28 +36,42 @@ def assignments(package: Path) -> list[Assignment]:
     records = {name for one in classes if _is_record(one) for name in _fields(one)}
     found = []
     for path, tree in trees.items():
-        file = path.relative_to(package)
-        if file.parts[0] in _LEFT_OUT:
-            continue
+        file, modules = path.relative_to(package), set(_standard_modules(tree))
         for node in ast.walk(tree):
-            for target, name in _set_from_outside(node):
+            for target, name in _set_from_outside(node, modules):
                 one = Assignment(str(file), target.lineno, ast.unparse(target))
                 if (name is None or name in ours - records) and (one.file, one.text) not in _OF_LIBRARIES:
                     found.append(one)
     return sorted(set(found))
 
 
-def _set_from_outside(node: ast.AST) -> Iterator[tuple[ast.expr, str | None]]:
+def _standard_modules(tree: ast.Module) -> Iterator[str]:
+    """Yield the names under which a file imports modules of the standard library."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for one in node.names:
+                if one.name.partition(".")[0] in sys.stdlib_module_names:
+                    yield one.asname or one.name.partition(".")[0]
+
+
+def _set_from_outside(node: ast.AST, modules: Collection[str]) -> Iterator[tuple[ast.expr, str | None]]:
     """Yield what a statement sets from outside, with the attribute's name; None if only a run tells it."""
     if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store | ast.Del):
-        if not (isinstance(node.value, ast.Name) and node.value.id in _OWN):
+        if not (isinstance(node.value, ast.Name) and node.value.id in _OWN) and _root(node) not in modules:
             yield node, node.attr
     elif isinstance(node, ast.Call):
         called = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
         if called in {"setattr", "delattr", "__setattr__"} and len(node.args) > 1:
             changed, name = node.args[:2]
-            if not (isinstance(changed, ast.Name) and changed.id in (*_OWN, *sys.stdlib_module_names)):
+            if not (isinstance(changed, ast.Name) and changed.id in _OWN) and _root(changed) not in modules:
                 yield node, str(name.value) if isinstance(name, ast.Constant) else None
+
+
+def _root(node: ast.expr) -> str:
+    """Return the name that an attribute is reached through."""
+    while isinstance(node, ast.Attribute):
+        node = node.value
+    return node.id if isinstance(node, ast.Name) else ""
 
 
 def _is_record(node: ast.ClassDef) -> bool:

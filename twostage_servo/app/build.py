@@ -178,6 +178,7 @@ def build_service(
     snapshot: Callable[[AxisLoop], JsonObject],
     trip_files: TripWriter | None = None,
     publishers: Sequence[Publisher] = (),
+    make_service: Callable[..., ServoService] = ServoService,
 ) -> ServoService:
     """Return the service, its buses not yet open.
 
@@ -191,6 +192,8 @@ def build_service(
         Writes them; None: the recordings of trips stay in memory only.
     publishers
         Are told of each tick, beside the log and the recorders of trips.
+    make_service
+        Makes the service of what :class:`~twostage_servo.service.servo_service.ServoService` takes.
     """
     own: list[Publisher] = []
     for axis_loop in parts.axis_loops:
@@ -199,7 +202,7 @@ def build_service(
             DisabledReport(axis_loop).publish,
             TripRecorder(axis_loop, snapshot, trip_files).publish,
         ]
-    return ServoService(
+    return make_service(
         parts.buses,
         parts.axis_loops,
         AxisGroup(parts.machine.fault_reaction),

@@ -24,7 +24,7 @@ from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.bus_connection import FrameObserver
 from twostage_servo.service.reload import Change
 from twostage_servo.service.runtime import Runtime
-from twostage_servo.service.servo_service import Publisher
+from twostage_servo.service.servo_service import Publisher, ServoService
 from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.simulation.node import DriveNode
@@ -165,6 +165,7 @@ async def closed_loop(
     publishers: Sequence[Publisher] = (),
     prepare_reload: Callable[[], Awaitable[Change]] | None = None,
     sign_of_life: Callable[[float], None] | None = None,
+    make_service: Callable[..., ServoService] = ServoService,
 ) -> AsyncIterator[ClosedLoop]:
     """Run a service and a simulated drive for each of its axes on the running loop, until the block ends.
 
@@ -192,6 +193,8 @@ async def closed_loop(
         Reads the configuration again; None where there is none to read.
     sign_of_life
         Called with the loop's time in s after each completed tick.
+    make_service
+        Makes the service of what :class:`~twostage_servo.service.servo_service.ServoService` takes.
 
     Raises
     ------
@@ -210,7 +213,7 @@ async def closed_loop(
             one.config.axis.name: _simulated(one, parts, bus or one.config.bus, wires, node_name, sparse=sparse)
             for one in parts.machine.axes
         }
-        loop = ClosedLoop(ServiceHarness(parts, runtime, prepare_reload, publishers), axes, wires)
+        loop = ClosedLoop(ServiceHarness(parts, runtime, prepare_reload, publishers, make_service), axes, wires)
         try:
             yield loop
         finally:

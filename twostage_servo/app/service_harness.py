@@ -12,32 +12,35 @@ from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.reload import Change
 from twostage_servo.service.runtime import Runtime
-from twostage_servo.service.servo_service import Publisher
+from twostage_servo.service.servo_service import Publisher, ServoService
 from twostage_servo.telemetry.trip_files import Document, Records, TripFiles
 from twostage_servo.timing.ticks import Tick
 
 
 class ReplaceableTripFiles:
-    """Trip files that may be given, and changed, while the service runs.
-
-    Attributes
-    ----------
-    files
-        What writes them; None: the recordings of trips stay in memory only.
-    """
+    """Trip files that may be given, and changed, while the service runs; at first there are none."""
 
     def __init__(self) -> None:
-        self.files: TripFiles | None = None
+        self._files: TripFiles | None = None
+
+    @property
+    def files(self) -> TripFiles | None:
+        """What writes them; None: the recordings of trips stay in memory only."""
+        return self._files
+
+    def use(self, files: TripFiles) -> None:
+        """Let something write them from now on."""
+        self._files = files
 
     def write(self, name: str, document: Document, records: Records, file: TripFile) -> None:
         """Begin to write a file, if there is something to write it with."""
-        if self.files is not None:
-            self.files.write(name, document, records, file)
+        if self._files is not None:
+            self._files.write(name, document, records, file)
 
     def fail(self, name: str, error: BaseException, file: TripFile) -> None:
         """Tell that a file could not be written."""
-        if self.files is not None:
-            self.files.fail(name, error, file)
+        if self._files is not None:
+            self._files.fail(name, error, file)
         else:
             text = "no recording of the trip: out of memory"
             structlog.get_logger().error(text, axis=name.rpartition("-")[0])
@@ -54,6 +57,8 @@ class ServiceHarness:
         Reads the configuration again; None where there is none to read.
     publishers
         Are told of each tick.
+    make_service
+        Makes the service of what :class:`~twostage_servo.service.servo_service.ServoService` takes.
 
     Attributes
     ----------
@@ -73,13 +78,14 @@ class ServiceHarness:
         runtime: Runtime,
         prepare_reload: Callable[[], Awaitable[Change]] | None = None,
         publishers: Sequence[Publisher] = (),
+        make_service: Callable[..., ServoService] = ServoService,
     ) -> None:
         self.parts = parts
         self.trip_files = ReplaceableTripFiles()
         self.requests = build_requests(parts, runtime, prepare_reload)
         self._publishers = list(publishers)
         snapshot = self.requests.status.report.snapshot_of
-        self.service = build_service(parts, runtime, snapshot, self.trip_files, (self._publish,))
+        self.service = build_service(parts, runtime, snapshot, self.trip_files, (self._publish,), make_service)
 
     def listen(self, publisher: Publisher) -> None:
         """Tell somebody of each tick from now on."""

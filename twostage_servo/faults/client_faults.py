@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import socket
 from random import Random
-from typing import Any, Final
+from typing import Final
 
 from twostage_servo.api.request_reading import LONGEST_LINE
 from twostage_servo.api.requests import ArmRequest, StatusRequest
@@ -138,10 +138,4 @@ def _judge(world: World, wanted: str) -> str | None:
 
 
 def _count_what_is_carried_out(world: World) -> None:
-    carry_out = world.requests.carry_out
-
-    def counted(request: Any, addressed: Any, client: str) -> None:
-        carry_out(request, addressed, client)
-        world.refusals.append(None)
-
-    world.requests.carry_out = counted  # type: ignore[method-assign]
+    world.requests.listen(lambda *_: world.refusals.append(None))

@@ -7,8 +7,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from twostage_servo.api.request_reading import parse_request
-from twostage_servo.api.requests import BadRequestError
+from twostage_servo.api.request_reading import parse_request, read_request
+from twostage_servo.api.requests import AxisRequest, BadRequestError
 from twostage_servo.app.closed_loop import ClosedLoop
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.client.async_connection import AsyncConnection
@@ -88,12 +88,16 @@ class Clients:
             await self._socket.start()
 
     def ask(self, request: str | dict[str, Any], client: str = OPERATOR) -> str | None:
-        """Make a request of a client; return the code with which it is refused, or None if it was carried out."""
+        """Make a request of a client; return the code with which it is refused, or None if it was carried out.
+
+        Where there are several axes, what is asked of an axis is asked of the one that these clients are for.
+        """
         line = request if isinstance(request, str) else json.dumps(request)
-        if len(self._loop.axes) > 1 and '"op": "reload"' not in line:
-            line = f'{line.rstrip()[:-1]}, "axis": {json.dumps(self._axis_name)}}}'
         try:
-            self._loop.requests.handle(parse_request(line.encode()), client)
+            asked = parse_request(line.encode())
+            if len(self._loop.axes) > 1 and isinstance(asked, AxisRequest):
+                asked = read_request(asked.to_json() | {"axis": self._axis_name})
+            self._loop.requests.handle(asked, client)
         except BadRequestError:
             return RefusalCode.BAD_REQUEST
         except Refused as refused:

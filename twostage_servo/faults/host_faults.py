@@ -16,6 +16,7 @@ import structlog
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.trips import Reaction
 from twostage_servo.faults.clients import OPERATOR
+from twostage_servo.faults.defects import PARTS
 from twostage_servo.faults.world import World
 from twostage_servo.service.log import open_log
 from twostage_servo.telemetry.trip_files import TripFiles
@@ -60,14 +61,7 @@ def hog(world: World, random: Random) -> None:
 
 def defect(world: World, random: Random) -> None:
     """Let a defect show once in what closes the loop: where a tick reads, decides, or writes."""
-    service, part = world.service, random.choice(("read", "update", "write"))
-    sound = getattr(service, part)
-
-    def fail(*_: object) -> None:
-        setattr(service, part, sound)
-        raise RuntimeError(f"a defect, injected where the loop is to {part}")
-
-    setattr(service, part, fail)
+    world.defects.show_in(random.choice(PARTS))
 
 
 def defect_of_a_publisher(world: World, _: Random) -> None:
@@ -94,13 +88,13 @@ def full_disk(world: World, _: Random) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
     files = TripFiles(Path(tempfile.gettempdir()) / "nowhere", no_space)
-    world.loop.trip_files.files = files
+    world.loop.trip_files.use(files)
     _for_ticks(world, 20, lambda: files.write("full", {}, world.axis_loop.recorder.records()))
 
 
 def blocked_log(world: World, _: Random) -> None:
     """Let the log's reader stop reading, and write 100 lines in each of the next 20 ticks."""
-    world.log = open_log("debug", cast("TextIO", _StuckStream(world.log_released)), capacity=50)
+    world.use_log(open_log("debug", cast("TextIO", _StuckStream(world.log_released)), capacity=50))
     log = structlog.get_logger()
 
     def write() -> None:

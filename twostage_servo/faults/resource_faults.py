@@ -94,7 +94,7 @@ def _trip_while(
     def inject(world: World, random: Random) -> None:
         files = _Threaded(world.folder / "trips", writer)
         files.start()
-        world.loop.trip_files.files = files
+        world.loop.trip_files.use(files)
         world.held.callback(files.close)
         world.held.enter_context(exhausted)
         foreign_command(world, random)

@@ -1,6 +1,7 @@
 """The running service, its drives, its bus and its clients in simulated time, each of which can be made to fail."""
 
 import asyncio
+import functools
 import math
 import tempfile
 import threading
@@ -16,6 +17,7 @@ from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
 from twostage_servo.faults.clients import Clients
 from twostage_servo.faults.companion import Companions
+from twostage_servo.faults.defects import DefectiveService, Defects
 from twostage_servo.timing.ticks import Tick
 
 if TYPE_CHECKING:
@@ -75,9 +77,11 @@ class World:
         What a fault has taken from the process, and gives back when the world ends at the latest.
     log
         A log that stands in for the usual one, with a reader that stands still until `log_released` is set.
+    defects
+        Which part of a tick has a defect.
     """
 
-    def __init__(self, loop: ClosedLoop, wires: Wires, ticks: HeldTicks, axis_name: str) -> None:
+    def __init__(self, loop: ClosedLoop, wires: Wires, ticks: HeldTicks, defects: Defects, axis_name: str) -> None:
         parts = loop.parts
         self.loop = loop
         self.wires = wires
@@ -85,7 +89,7 @@ class World:
         self.service, self.requests = loop.service, loop.requests
         self.axis_loop = parts.axis_loop(axis_name)
         self.simulation = parts.machine.axis(axis_name).config.simulation
-        self.ticks = ticks
+        self.ticks, self.defects = ticks, defects
         self.drive, self.node = loop.axes[axis_name].drive, loop.axes[axis_name].node
         self.companions = Companions(loop, axis_name, self.until)
         self.clients = Clients(loop, axis_name, lambda: self.folder)
@@ -155,6 +159,10 @@ class World:
     def begin_travel(self, now_s: float, place: float) -> None:
         """Record when (s) and where (axis unit) the travel that counts begins."""
         self.begun_s, self.fault_place = now_s, place
+
+    def use_log(self, log: "LogWriter") -> None:
+        """Have a log in place of the usual one, until the world ends."""
+        self.log = log
 
     def keep_no_samples(self) -> None:
         """Keep no samples from here on."""
@@ -253,7 +261,7 @@ async def operate(machine: Machine | LoadedConfig[Config], axis_name: str | None
         machine = Machine.of(machine)
     name = axis_name or machine.axes[0].config.axis.name
     bus = _BUS.with_frames_of(machine.axis(name).config.bus)
-    wires, ticks = Wires(), HeldTicks(machine.service.tick_ms / 1e3)
+    wires, ticks, defects = Wires(), HeldTicks(machine.service.tick_ms / 1e3), Defects()
     async with closed_loop(
         machine,
         bus=bus,
@@ -262,8 +270,9 @@ async def operate(machine: Machine | LoadedConfig[Config], axis_name: str | None
         node_name=lambda axis: DRIVE if axis == name else axis,
         ticks=lambda _: ticks,
         prepare_reload=_read_nothing,
+        make_service=functools.partial(DefectiveService, defects),
     ) as loop:
-        world = World(loop, wires, ticks, name)
+        world = World(loop, wires, ticks, defects, name)
         try:
             yield world
         finally:

@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from twostage_servo.api.requests import MoveRequest
 from twostage_servo.axis.axis import Axis
@@ -52,6 +53,14 @@ class AxisCommands:
         if len(axis_loops) > 1:
             raise self._which_axis("this concerns one axis, and there are several")
         return axis_loops[0]
+
+    def changed_by_stop(self) -> list[tuple[Any, ...]]:
+        """Return what a stop or a disarm changes of each axis of the service, if it changes anything."""
+        axes = [axis_loop.axis for axis_loop in self._axis_loops]
+        return [
+            (axis.state, axis.move, None if axis.move is None else axis.move.outcome, axis.trip, axis.referenced)
+            for axis in axes
+        ]
 
     def _which_axis(self, why: str) -> Refused:
         return Refused(RefusalCode.WHICH_AXIS, f"{why}: name one of {', '.join(self._by_name)}.")

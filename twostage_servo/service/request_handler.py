@@ -1,7 +1,7 @@
 """What becomes of a request: it is carried out, refused, or dropped where nobody waits for it any more."""
 
-from collections.abc import Iterator, Sequence
-from typing import Any, Final, Literal
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, Literal
 
 import structlog
 
@@ -88,7 +88,12 @@ class RequestHandler:
         self._shutdown = shutdown
         self._reload = reload
         self._holder_lost: HolderLost = holder_lost
+        self._listeners: list[Callable[[Request, str], None]] = []
         self._log = structlog.get_logger().bind(room="control_socket")
+
+    def listen(self, listener: Callable[[Request, str], None]) -> None:
+        """Tell somebody, from now on, of each request that was carried out and changes something, with its client."""
+        self._listeners.append(listener)
 
     # For a client on the socket --------------------------------------------------------------------------------------
 
@@ -155,7 +160,7 @@ class RequestHandler:
         try:
             addressed = self._addressed(request)
             if not isinstance(request, READING):
-                self.carry_out(request, addressed, client)
+                self._carry_out(request, addressed, client)
             if isinstance(request, RecordingRequest):
                 return {"fields": FIELDS, "records": self._commands.only(addressed).recorder.records()}
             return self.status.report.snapshot(addressed)
@@ -190,16 +195,16 @@ class RequestHandler:
             self._log.info("request", peer=asker.peer, **request.to_json())
         if request.renamed_to:
             self._log.warning("the old name of an operation", peer=asker.peer, op=request.op, use=request.renamed_to)
-        before = self._stands()
+        before = self._commands.changed_by_stop()
         try:
             addressed = self._addressed(request)
-            self.carry_out(request, addressed, asker.peer)
+            self._carry_out(request, addressed, asker.peer)
         except Refused:
             raise
         except Exception as error:
             raise self._defect(error) from error
         finally:  # a flood of `stop` makes no report after the first
-            if not isinstance(request, StopRequest | DisarmRequest) or self._stands() != before:
+            if not isinstance(request, StopRequest | DisarmRequest) or self._commands.changed_by_stop() != before:
                 self.status.forget()
         return addressed
 
@@ -216,7 +221,7 @@ class RequestHandler:
         if self._shutdown.is_ending:
             raise Refused(RefusalCode.ENDING, "the service is ending: only requests that read are still possible.")
 
-    def carry_out(self, request: Request, addressed: Sequence[AxisLoop], client: str) -> None:
+    def _carry_out(self, request: Request, addressed: Sequence[AxisLoop], client: str) -> None:
         """Carry out a request of a client that changes something, for the axes that it is for.
 
         Raises
@@ -241,6 +246,8 @@ class RequestHandler:
             case _:
                 with self.authority.acquired(client):
                     self._carry_out_for_holder(request, addressed, client)
+        for listener in self._listeners:
+            listener(request, client)
 
     def _carry_out_for_holder(self, request: Request, addressed: Sequence[AxisLoop], client: str) -> None:
         match request:
@@ -287,11 +294,3 @@ class RequestHandler:
             if begun:  # half a line has been sent: only the end of the connection says that no more will come
                 raise
             yield answers.failure(refused.code, str(refused))
-
-    def _stands(self) -> list[tuple[Any, ...]]:
-        """Return what a stop changes of each axis, if it changes anything."""
-        axes = [axis_loop.axis for axis_loop in self._axis_loops]
-        return [
-            (axis.state, axis.move, None if axis.move is None else axis.move.outcome, axis.trip, axis.referenced)
-            for axis in axes
-        ]
