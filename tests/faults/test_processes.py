@@ -37,7 +37,7 @@ from twostage_servo.faults.listening import Listener, Operator, Order, RefusalEr
 from twostage_servo.faults.phase import Phase
 from twostage_servo.faults.plan import plan_target
 from twostage_servo.faults.processes import HostedFault, hosted_cells, run_hosted
-from twostage_servo.faults.script import NotOperableError
+from twostage_servo.faults.simulated_approach import NotOperableError
 from twostage_servo.faults.watchdog import Watchdog
 from twostage_servo.service.notify import Notifier
 

@@ -41,7 +41,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
 def _faults(options: argparse.Namespace) -> ExitCode:
     from twostage_servo.faults.report import as_json, as_page, as_text
     from twostage_servo.faults.runner import run_campaign
-    from twostage_servo.faults.script import NotOperableError
+    from twostage_servo.faults.simulated_approach import NotOperableError
 
     if not 0 <= options.seed < 2**63:
         raise CommandError(ExitCode.USAGE, "usage", f"--seed {options.seed}: must be from 0 to 2^63 - 1")

@@ -4,33 +4,20 @@ import signal
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
 from twostage_servo.app.assembly import design
 from twostage_servo.axis.design import AxisDesign  # noqa: TC001 - the class of an attribute
 from twostage_servo.axis.state import State
-from twostage_servo.control.plant import MODEL_ERROR
-from twostage_servo.faults.approach import Approach, distance
+from twostage_servo.faults.approach import Approach
 from twostage_servo.faults.bench import Bench
-from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.cell import Cell
+from twostage_servo.faults.hosted_verdict import ENDED, HUNG, KILLED, STOPPED, HostedVerdict, Seen, coast_s, silence_s
 from twostage_servo.faults.launch import LONGEST_S
 from twostage_servo.faults.listening import Order, Snapshot
 from twostage_servo.faults.phase import Phase
-from twostage_servo.faults.table import DISABLED, HELD, TOLERATED
 from twostage_servo.faults.watchdog import Watchdog
-from twostage_servo.faults.world import Sample
-
-STOPPED, KILLED, ENDED, HUNG = 37, 38, 39, 42
-
-NAMES = {
-    STOPPED: "service stopped, then continued (SIGSTOP)",
-    KILLED: "service killed, then started again",
-    ENDED: "service ended (SIGTERM)",
-    HUNG: "loop hangs: the service manager kills it",
-}
 
 WATCHDOG_S = 0.5
 
@@ -38,41 +25,6 @@ _LATER_TICKS = 20
 """For how long a service that is back is watched."""
 _SILENT_TICKS = 500
 """For how long one that seems to send nothing is watched."""
-_HELD_UP_TICKS = 1.5
-"""Frames that are later than this show a machine that holds processes up."""
-_FASTER = 1.1
-"""An effort for a speed that is greater by this factor is meant to accelerate."""
-
-
-@dataclass(slots=True)
-class _Seen:
-    """What came of a fault.
-
-    Attributes
-    ----------
-    exit_code
-        Of the service, if it has ended.
-    trip
-        Code of the trip that the service reports afterwards.
-    time_outs
-        How often the drive has stopped by itself for want of commands; None if it did not say.
-    rested
-        Whether the axis came to rest.
-    enabled
-        Whether the drive says that it is enabled, at the end.
-    effort
-        The last one that the drive was sent, in effort unit, before the service was back.
-    wrong
-        What else is not as it should be.
-    """
-
-    exit_code: int | None = None
-    trip: str = ""
-    time_outs: int | None = None
-    rested: bool = False
-    enabled: bool | None = None
-    effort: float = 0.0
-    wrong: list[str] = field(default_factory=list)
 
 
 class HostedRun:
@@ -93,7 +45,7 @@ class HostedRun:
         self._bench: Bench
         self._watchdog: Watchdog
         self._design: AxisDesign
-        self._seen = _Seen()
+        self._seen = Seen()
         self._fault_s = 0.0
 
     def play(self, config: Path | None, overrides: Sequence[str]) -> tuple[Cell, bool]:
@@ -127,9 +79,8 @@ class HostedRun:
             self._fault_s = time.monotonic()
             {STOPPED: self._stop, KILLED: self._kill, ENDED: self._end, HUNG: self._hang}[self._fault](before)
             self._look_at_the_drive()
-            return self._judge(before), self._was_held_up()
-
-    # The faults ------------------------------------------------------------------------------------------------------
+            verdict = HostedVerdict(self._fault, self._phase, bench, self._design, self._fault_s, self._seen)
+            return verdict.cell(before), verdict.was_held_up()
 
     def _stop(self, before: Snapshot) -> None:
         bench, seen = self._bench, self._seen
@@ -137,7 +88,7 @@ class HostedRun:
         self._come_to_rest()
         continued_s = time.monotonic()
         bench.service.send_signal(signal.SIGCONT)
-        later_s = before["uptime_s"] + 0.5 * self._silence_s
+        later_s = before["uptime_s"] + 0.5 * silence_s(bench.loaded.config.simulation, self._design.period_s)
         bench.watch(lambda now: now["uptime_s"] > later_s, "the service to be back")
         # A command that was about to leave when the service was stopped leaves now; the drive takes it for no edge.
         self._watch_what_follows(continued_s, spared=1)
@@ -183,22 +134,11 @@ class HostedRun:
             seen.wrong.append(f"exit code {seen.exit_code} after SIGABRT")
         self._come_to_rest()
 
-    @property
-    def _timeout_s(self) -> float:
-        return self._bench.loaded.config.simulation.command_timeout_ms / 1e3
-
-    @property
-    def _silence_s(self) -> float:
-        """For how long there are no commands at the least, in s: so that the drive must have noticed."""
-        return self._timeout_s + 2.0 * self._design.period_s
-
-    @property
-    def _coast_s(self) -> float:
-        return 20.0 / self._bench.loaded.config.simulation.pole
-
     def _come_to_rest(self) -> None:
         bench, seen = self._bench, self._seen
-        seen.rested = bench.wait_for_rest(self._fault_s + self._silence_s, self._coast_s + 5.0)
+        simulation = bench.loaded.config.simulation
+        unheard_s = self._fault_s + silence_s(simulation, self._design.period_s)
+        seen.rested = bench.wait_for_rest(unheard_s, coast_s(simulation) + 5.0)
         seen.effort = bench.listener.orders[-1].effort
 
     def _watch_what_follows(self, since_s: float, spared: int = 0) -> None:
@@ -239,73 +179,3 @@ class HostedRun:
             seen.wrong.append("the drive is still enabled")
         if seen.time_outs is None:
             seen.wrong.append("the drive did not end as it should")
-
-    # The verdict -----------------------------------------------------------------------------------------------------
-
-    def _judge(self, before: Snapshot) -> Cell:
-        seen = self._seen
-        expected = HELD if self._fault == ENDED else DISABLED
-        expected = TOLERATED if self._phase is Phase.IDLE else expected
-        how = {STOPPED: seen.trip, ENDED: f"exit {seen.exit_code}"}.get(self._fault, "")
-        if not how and seen.exit_code is not None:
-            how = signal.Signals(-seen.exit_code).name if seen.exit_code < 0 else f"exit {seen.exit_code}"
-        travel = self._bench.listener.travel(self._fault_s)
-        return Cell(
-            self._fault, NAMES[self._fault], self._phase.value, expected, self._observed(), how, travel,
-            self._bound(before), "; ".join(seen.wrong),
-        )  # fmt: skip
-
-    def _observed(self) -> str:
-        """Tell by the drive what became of the motion: it has stopped by itself, or was told to, or neither."""
-        seen = self._seen
-        if not seen.rested or seen.enabled:
-            return TOLERATED
-        if seen.time_outs:
-            return DISABLED
-        return TOLERATED if self._phase is Phase.IDLE else HELD
-
-    def _bound(self, before: Snapshot) -> float:
-        """Return how far the axis may travel, in axis unit."""
-        place = self._bench.listener.place(self._fault_s)
-        sample = Sample(self._fault_s, place, self._peak_speed(before), self._seen.effort, before["axis"]["state"])
-        reference = Reference(
-            [sample],
-            self._fault_s,
-            0.0 if self._phase is Phase.IDLE else distance(before),
-            self._phase in {Phase.CHANGEOVER, Phase.SETTLING},
-        )
-        cycle_s = self._bench.loaded.config.simulation.cycle_ms / 1e3
-        budget = Budget(self._design, reference, self._timeout_s, cycle_s)
-        if self._phase is Phase.IDLE:
-            return budget.unnoticed()
-        if self._fault == ENDED:
-            return budget.stopping(budget.detection_s(0), budget.limits.acceleration)
-        return budget.coasting(budget.command_timeout_s + budget.detection_s(1))
-
-    def _peak_speed(self, before: Snapshot) -> float:
-        """Return the largest speed from the fault on, in axis unit/s.
-
-        A drive whose controller falls silent goes on with its last effort until it notices. One that was to accelerate
-        may bring the axis to more than the cruise velocity by then, and the plant may answer better than its model.
-        """
-        settings = self._design.settings
-        floor = self._design.rest_velocity if self._phase is Phase.HOLDING else settings.cruise_velocity
-        speed = max(abs(float(before["axis"]["velocity"] or 0.0)), floor)
-        if self._fault == ENDED:
-            return speed
-        driven = abs(settings.plant.gain / settings.plant.pole * self._seen.effort)
-        return speed if driven <= _FASTER * speed else driven * (1.0 + MODEL_ERROR) / (1.0 - MODEL_ERROR)
-
-    def _was_held_up(self) -> bool:
-        """Whether the machine has held up the drive after the fault, or the service before it and in its stop."""
-        simulation, listener, period_s = (
-            self._bench.loaded.config.simulation,
-            self._bench.listener,
-            self._design.period_s,
-        )
-        end_s = self._fault_s + self._silence_s + self._coast_s
-        drive_s = listener.longest_gap_s(self._fault_s - 0.1, end_s)
-        usual_s = max(period_s, simulation.feedback_period_ms / 1e3) + simulation.cycle_ms / 1e3
-        until_s = listener.orders[-1].time_s if self._fault == ENDED else self._fault_s
-        service_s = listener.longest_gap_s(self._fault_s - 0.5, until_s, of_orders=True)
-        return max(drive_s - usual_s, service_s - period_s) > _HELD_UP_TICKS * period_s

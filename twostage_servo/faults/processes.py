@@ -14,11 +14,12 @@ from typing import NamedTuple
 
 from twostage_servo.faults.bench import BenchError
 from twostage_servo.faults.cell import Cell
-from twostage_servo.faults.hosted import ENDED, HUNG, KILLED, STOPPED, HostedRun
+from twostage_servo.faults.hosted import HostedRun
+from twostage_servo.faults.hosted_verdict import ENDED, HUNG, KILLED, STOPPED
 from twostage_servo.faults.launch import LONGEST_S, Child
 from twostage_servo.faults.listening import RefusalError
 from twostage_servo.faults.phase import ALL, Phase
-from twostage_servo.faults.script import NotOperableError
+from twostage_servo.faults.simulated_approach import NotOperableError
 from twostage_servo.faults.table import TOLERATED
 
 POWER_CUT = 54
