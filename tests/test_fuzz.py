@@ -15,10 +15,12 @@ import structlog
 from pydantic import BaseModel
 
 from tools.fuzz import frames, lines, tomls
-from tools.fuzz.bench import Bench, Failed, quiet_log
+from tools.fuzz.bench import Bench
 from tools.fuzz.drives import Drive, Kind, all_drives
 from tools.fuzz.line_maker import Line
 from tools.fuzz.lines import ControlSocketRig
+from tools.fuzz.outcome import Failed
+from tools.fuzz.quiet_log import quiet_log
 from tools.fuzz.reference import refusal
 from tools.fuzz.reproducible import reproducible
 from tools.fuzz.request_maker import minimal_request, numeric_fields

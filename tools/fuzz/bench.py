@@ -5,29 +5,25 @@ on its public counters and state.
 """
 
 import asyncio
-import functools
-import logging
 import math
 import random
 from collections import Counter
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from typing import Any
 
 import can
-import structlog
 
 from tools.fuzz.drives import Drive
+from tools.fuzz.frame_check import FrameCheck
 from tools.fuzz.made_up_bus import MadeUpBus
+from tools.fuzz.outcome import Failed
 from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.build import build_parts
 from twostage_servo.app.service_harness import ServiceHarness
-from twostage_servo.axis.messages import ForeignCommand
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, ENABLED, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.control.plant import Plant
-from twostage_servo.drives.drive import Decoder, Report
-from twostage_servo.drives.frame import ReceivedFrame
 from twostage_servo.faults.frames import protocol_of
 from twostage_servo.service.runtime import Runtime
 from twostage_servo.timing.ticks import Tick, Ticks
@@ -35,27 +31,6 @@ from twostage_servo.timing.virtual_clock import VirtualClockLoop
 
 _IN_DRIVE = frozenset(DRIVEN)
 _IN_ENABLED = frozenset(ENABLED)
-
-
-class Failed(AssertionError):  # noqa: N818 - not an error of this program: a finding
-    """A property that does not hold."""
-
-
-def quiet_log() -> None:
-    """Let the service's log be formatted as by default, and go nowhere."""
-    structlog.configure(
-        processors=[structlog.processors.add_log_level, structlog.processors.JSONRenderer()],
-        wrapper_class=structlog.make_filtering_bound_logger(logging.INFO),
-        logger_factory=lambda *_: _Nowhere(),
-        cache_logger_on_first_use=False,
-    )
-
-
-class _Nowhere:
-    def msg(self, line: str) -> None:
-        """Discard a line."""
-
-    log = debug = info = warning = error = critical = msg
 
 
 class BenchLoop(VirtualClockLoop):
@@ -130,8 +105,10 @@ class Bench:
 
     Attributes
     ----------
-    states, trips, decoded
-        How many ticks each state had, which trips there were, and how many frames of each kind were used.
+    states, trips
+        How many ticks each state had, and which trips there were.
+    frame_check
+        Checks what becomes of each frame, and counts those that were used.
     missed_next, lateness_next_s
         What the next tick comes with.
     periods_ahead
@@ -152,14 +129,13 @@ class Bench:
         self.harness = ServiceHarness(parts, Runtime(ScriptedTicks(self)))
         self.service = self.harness.service
         self.kinds = drive.kinds
+        self.frame_check = FrameCheck(self.bus, axis_loop, self.kinds, parts.period_s)
         self.commands = drive.kinds["command"]
         config = drive.loaded.config
         self.plant = Plant(config.axis.plant.gain, config.axis.plant.pole).discretise(self.period_s)
         self.scale = -1.0 if protocol_of(config).feedback.position_scale < 0.0 else 1.0
         self.limit = min(config.axis.limits.effort, axis_loop.drive.traits.effort_limit) + 1e-9
         self.command_number = axis_loop.drive.command_id.identifier
-        self.listened = {identifier.identifier for identifier in axis_loop.drive.decoders}
-        self.feedback_number = axis_loop.drive.feedback_id.identifier
         self.prepare = prepare or self.idle
         self.position = self.sample = self.velocity = 0.0
         self.counter = self.boots = 0
@@ -168,37 +144,13 @@ class Bench:
         self.trips: Counter[str] = Counter()
         self.refusals: Counter[str] = Counter()
         self.refused = ""
-        self.decoded: Counter[str] = Counter()
         self.frames = 0
         self.frames_while_driven = 0
-        self.discarded = 0  # read in a drain that then found the bus gone
         self._trip: object = None
-        self._decoded = 0
-        self._seen = (0, 0, 0, 0)
-        self._last: can.Message | None = None
-        self._arrivals: Iterator[can.Message] = iter(())
-        self._was_late = 0
-        self._was_fresh = False
-        self._counts = (0, 0, 0)
+        self._dropped = 0
         self._sends_seen = 0
         self._acting = 0.0
         self._enabled = False
-        receivers = axis_loop.bus._receivers  # noqa: SLF001 - counts what they decode
-        for name, kind in self.kinds.items():
-            decode = self._counted(name, axis_loop.drive.decoders[kind.identifier])
-            receivers[kind.identifier.identifier] = functools.partial(axis_loop._deliver, decode)  # noqa: SLF001 - likewise
-
-    def _counted(self, name: str, decode: Decoder) -> Decoder:
-        decoded = self.decoded
-
-        def counted(message: ReceivedFrame) -> Report | None:
-            record = decode(message)
-            if not isinstance(record, ForeignCommand) or record.command is not None:
-                decoded[name] += 1
-                self._decoded += 1
-            return record
-
-        return counted
 
     # What happens --------------------------------------------------------------------------------------------------
 
@@ -269,59 +221,8 @@ class Bench:
 
     # What is checked -----------------------------------------------------------------------------------------------
 
-    def _observe(self, _: int, direction: str, number: int, __: bytes) -> None:
-        """Look, as a frame is about to be taken, at what became of the one before."""
-        if direction == "received":
-            if self._last is None:
-                self._arrivals = iter([message for message in self.bus.taken if self._is_ours(message)])
-            else:
-                self._check_frame(self._last)
-            self._last = next(self._arrivals)
-            if self._last.arbitration_id != number:
-                raise Failed(f"{self._last} came in, and 0x{number:X} is taken")
-
-    def _is_ours(self, message: can.Message) -> bool:
-        return message.arbitration_id in self.listened and not message.is_error_frame
-
-    def _check_frame(self, message: can.Message) -> None:
-        """Check that a frame that came in was used, rejected, or left as a repetition: exactly one of the three."""
-        rejected = self.axis_loop.bus.link.counters.rejected
-        drive = self.axis_loop.axis.drive
-        monitor = drive.monitor
-        left = monitor.doubled + monitor.reordered
-        was_rejected, was_decoded, was_left, was_refused = self._seen
-        number = message.arbitration_id
-        refused = rejected - was_rejected
-        decoded = self._decoded - was_decoded
-        # Somebody else's command is told of, whether it can be read or not.
-        if refused + decoded not in ({0, 1} if number == self.command_number else {1}):
-            raise Failed(f"a frame 0x{number:X} was {decoded} times used and {refused} times counted as rejected")
-        if number == self.feedback_number:
-            if decoded and left - was_left not in {0, 1}:
-                raise Failed(f"a feedback was {left - was_left} times counted as repeated or overtaken")
-            if decoded and left == was_left and monitor.rejected == was_refused:
-                self._check_freshness(message)
-            if refused and monitor.rejected != was_refused + 1:
-                raise Failed("a rejected feedback is not among the errors of the channel")
-        position = drive.position
-        if position is not None and not math.isfinite(position):
-            raise Failed(f"the measured position is {position}")
-        self._seen = rejected, self._decoded, left, monitor.rejected
-        self._was_late, self._was_fresh = monitor.late, drive.fresh
-
-    def _check_freshness(self, message: can.Message) -> None:
-        """Check that a feedback that is neither rejected nor a repetition is either fresh or late."""
-        drive = self.axis_loop.axis.drive
-        late = drive.monitor.late != self._was_late
-        expected = self.bus.is_late(message, self.period_s)
-        if expected not in {None, late}:
-            raise Failed(
-                f"a feedback of {message.timestamp}, read at {self.bus.now_s}, is {'' if late else 'not '}late"
-            )
-        if drive.fresh != (self._was_fresh or not late):
-            raise Failed(
-                "a feedback that is neither rejected, a repetition nor late is not fresh, or one is in spite of it"
-            )
+    def _observe(self, tick: int, direction: str, number: int, data: bytes) -> None:
+        self.frame_check.observe(tick, direction, number, data)
 
     def check_tick(self) -> None:
         """Check what holds after every tick."""
@@ -332,16 +233,13 @@ class Bench:
         axis = axis_loop.axis
         self.states[axis.state.value] += 1
         self._check_command()
-        self._check_counts()
+        self.frame_check.end_tick()
         if axis.trip is not self._trip:
             self._trip = axis.trip
             if axis.trip is not None:
                 self.trips[axis.trip.code.value] += 1
-        counters, monitor, taken = axis_loop.bus.link.counters, axis.drive.monitor, self.bus.taken
-        self._counts = counters.received, counters.errors, counters.dropped
-        self._last = None
-        self._was_late, self._was_fresh = monitor.late, False
-        self._seen = counters.rejected, self._decoded, monitor.doubled + monitor.reordered, monitor.rejected
+        taken = self.bus.taken
+        self._dropped = axis_loop.bus.link.counters.dropped
         self.frames += len(taken)
         if axis.state in _IN_DRIVE:
             self.frames_while_driven += len(taken)
@@ -354,32 +252,13 @@ class Bench:
         if not math.isfinite(effort) or abs(effort) > self.limit:
             raise Failed(f"the effort is {effort}, the limit {self.limit}")
         # A command that did not leave may have tripped the axis after it was made.
-        written = axis_loop.bus.error is None and axis_loop.bus.link.counters.dropped == self._counts[2]
+        written = axis_loop.bus.error is None and axis_loop.bus.link.counters.dropped == self._dropped
         if effort != 0.0 and state not in _IN_DRIVE and written:
             raise Failed(f"the effort is {effort} in state {state}")
         if enable and state not in _IN_ENABLED and written:
             raise Failed(f"the drive is enabled in state {state}")
         if state in _IN_DRIVE and not axis.is_finite:
             raise Failed("the estimate is not finite while the axis is driven")
-
-    def _check_counts(self) -> None:
-        """Check that each frame that came in was counted, and each rejected one by its reason."""
-        counters, taken = self.axis_loop.bus.link.counters, self.bus.taken
-        received, errors, _ = self._counts
-        if self.axis_loop.bus.error is None:
-            if self._last is not None:
-                self._check_frame(self._last)
-            wrong = sum(message.is_error_frame for message in taken)
-            ours = sum(map(self._is_ours, taken))
-            if counters.received - received != ours or counters.errors - errors != wrong:
-                raise Failed(
-                    f"{ours} frames and {wrong} error frames came in, {counters.received - received} and "
-                    f"{counters.errors - errors} were counted"
-                )
-        elif counters.received == received:
-            self.discarded += len(taken)
-        if counters.rejected != sum(counters.rejected_by_reason.values()):
-            raise Failed(f"{counters.rejected} frames rejected, by reason {counters.rejected_by_reason}")
 
     def check_end(self) -> None:
         """Check the sums, and that the last command has disabled the drive."""

@@ -5,9 +5,9 @@ from typing import Any
 
 import can
 
-from tools.fuzz.bench import Bench, Failed
+from tools.fuzz.bench import Bench
 from tools.fuzz.drives import EXTREMES, all_drives
-from tools.fuzz.outcome import Outcome
+from tools.fuzz.outcome import Failed, Outcome
 from tools.fuzz.reference import refusal
 from tools.fuzz.reproducible import reproducible
 from tools.fuzz.request_maker import RequestMaker
@@ -55,9 +55,9 @@ def run_episode(seed: int, episode: int, frames: int) -> Outcome:
             "repeated_or_overtaken": monitor.doubled + monitor.reordered,
             "late": monitor.late,
             "bus_lost": attack.lost,
-            "read_as_the_bus_went_off": bench.discarded,
+            "read_as_the_bus_went_off": bench.frame_check.discarded,
             "compared_with_reference": attack.compared,
-            **{f"used.{name}": number for name, number in bench.decoded.items()},
+            **{f"used.{name}": number for name, number in bench.frame_check.decoded.items()},
             **{f"rejected.{reason}": number for reason, number in link.counters.rejected_by_reason.items()},
             **{f"state.{name}": number for name, number in bench.states.items()},
             **{f"refused.{name}": number for name, number in bench.refusals.items()},

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from tools.fuzz.bench import Bench, Failed
+from tools.fuzz.bench import Bench
 from tools.fuzz.drives import all_drives
 from tools.fuzz.line_maker import NOT_FINITE, Line, LineMaker
-from tools.fuzz.outcome import Outcome
+from tools.fuzz.outcome import Failed, Outcome
 from tools.fuzz.reproducible import reproducible
 from tools.fuzz.request_maker import request_schemas
 from twostage_servo.api.request_reading import parse_request

@@ -3,6 +3,10 @@
 from dataclasses import dataclass, field
 
 
+class Failed(AssertionError):  # noqa: N818 - not an error of this program: a finding
+    """A property that does not hold."""
+
+
 @dataclass
 class Outcome:
     """Cases that were tried, and what became of them by name.

@@ -24,8 +24,8 @@ from types import FrameType
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for matrices of order 3, more threads only wait for each other
 
 from tools.fuzz import frames, lines, tomls
-from tools.fuzz.bench import quiet_log
 from tools.fuzz.outcome import Outcome
+from tools.fuzz.quiet_log import quiet_log
 from twostage_servo.worker_process import end_with_parent
 
 _MODES = {"frames": frames, "lines": lines, "tomls": tomls}

@@ -6,11 +6,12 @@ from pathlib import Path
 
 import can
 
-from tools.fuzz.bench import Bench, BenchLoop, quiet_log
+from tools.fuzz.bench import Bench, BenchLoop
 from tools.fuzz.drives import Kind, all_drives
 from tools.fuzz.frames import compare_with_reference
 from tools.fuzz.line_maker import Line
 from tools.fuzz.lines import ControlSocketRig, corpus
+from tools.fuzz.quiet_log import quiet_log
 from tools.fuzz.reproducible import reproducible
 from twostage_servo.axis.state import State
 
