@@ -358,6 +358,28 @@ def test_a_drive_that_goes_away_trips_the_axis(machine: Machine) -> None:
     assert machine.ask("arm")["axis"]["state"] == "holding"
 
 
+def test_nothing_is_imported_while_the_service_runs(machine: Machine, tmp_path: Path) -> None:
+    """What a start leaves out must not be needed by a tick, a request or a trip: an import takes many ticks."""
+    drive = machine.drive()
+    service = machine.service(command=(sys.executable, "-X", "importtime", *COMMAND[1:]))
+    assert machine.ask_disarmed("reload")["ok"]
+    machine.ask("arm")
+    machine.ask("move", "5", "--wait")
+    machine.ask("jog", "10", "--seconds", "0.1")
+    machine.ask("home", "--here", "0")
+    machine.ask("reload", exit_code=3)
+    machine.ask("status", "--recording", str(tmp_path / "ticks.csv"))
+    machine.ask("stop")
+    drive.end(signal.SIGKILL)
+    machine.watch_until(lambda status: status["trip"] is not None and status["trip"]["file"] is not None)
+    machine.ask("reset", exit_code=3)
+    _, _, log = service.end(signal.SIGTERM)
+    while_it_ran, ending, _ = log.partition('"event": "ending"')
+    assert ending
+    assert '"event": "trip file"' in while_it_ran
+    assert [line for line in while_it_ran.splitlines() if line.startswith("import time:")] == []
+
+
 def test_a_second_service_at_the_same_socket_is_refused(machine: Machine) -> None:
     machine.drive()
     machine.service()
