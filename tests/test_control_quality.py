@@ -4,6 +4,7 @@ import json
 import math
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import control
@@ -12,7 +13,17 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tools.bench.control_quality import __main__ as command
-from tools.bench.control_quality import contestants, jobs, margins, measure, report, suite, tuning
+from tools.bench.control_quality import (
+    axes,
+    contestants,
+    jobs,
+    margins,
+    measure,
+    over_frames,
+    scenarios,
+    suite,
+    tuning,
+)
 from tools.bench.control_quality.suite import PERIOD_S, Case, LoadStep, Outcome, Rig, SuiteLaw, cases, quickest_move
 from tools.bench.control_quality.true_plant import TrueAxis, TruePlant
 from twostage_servo.control.plant import Plant
@@ -184,8 +195,7 @@ NAMES = [*contestants.project_laws(), *contestants.baselines()]
 @pytest.mark.parametrize("name", NAMES)
 def test_the_margins_are_those_of_a_loop_built_in_another_way(name: str) -> None:
     """By transfer functions, and the delay margin by adding whole ticks of delay until it is unstable."""
-    axis = suite.nominal().axis
-    law = contestants.controller_of(name, axis)
+    law = contestants.controller_of(name, suite.nominal())
     found = margins.loop_figures(PLANT, law)
     plant = control.c2d(control.tf([suite.GAIN], [1.0, suite.POLE, 0.0]), PERIOD_S, "zoh")
     law_model = control.ss(law.a, law.b, law.c, 0.0, PERIOD_S)
@@ -223,18 +233,18 @@ def test_the_load_peak_is_that_of_a_run(name: str) -> None:
     """The axis itself under a load of 1 V, as the law drives it: without quantum, friction or limits."""
     axis = replace(suite.nominal().axis, quantum=0.0, effort_limit=24.0, effort_rate=1e9)
     case = Case(axis, 10.0, 100.0, 1)
-    rig = Rig(contestants.law_for(name, axis), case)
+    rig = Rig(contestants.law_for(name, case), case)
     rig.move(10.0, 100.0, 8.0)
     before, rig.plant.load, peak = rig.plant.position, 0.1, 0.0
     for _ in range(200):
         rig.tick()
         peak = max(peak, abs(rig.plant.position - before))
-    found = margins.load_step_peak(PLANT, contestants.controller_of(name, axis))
+    found = margins.load_step_peak(PLANT, contestants.controller_of(name, case))
     assert 10.0 * peak == pytest.approx(found, rel=0.02)
 
 
 def test_an_unstable_loop_has_no_margins() -> None:
-    law = contestants.controller_of("ptos", suite.nominal().axis)
+    law = contestants.controller_of("ptos", suite.nominal())
     wild = replace(law, c=tuple(tuple(50.0 * value for value in row) for row in law.c))
     assert margins.load_step_peak(PLANT, wild) == math.inf
     assert margins.quick_margins(PLANT, wild) == (math.inf, 0.0)
@@ -261,8 +271,11 @@ def test_percentiles_are_values_that_occurred() -> None:
     }
 
 
-def test_the_command_prints_its_contract(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_its_contract(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     arguments = ["--json", "--quick", "--plants", "2", "--law", "paper", "--law", "ptos", "--workers", "1"]
+    arguments += ["--outcomes", str(tmp_path / "moves.csv")]
     monkeypatch.setattr(sys, "argv", ["control_quality", *arguments])
     assert command.main() == 0
     printed = capsys.readouterr()
@@ -284,8 +297,18 @@ def test_the_command_prints_its_contract(monkeypatch: pytest.MonkeyPatch, capsys
     assert result["laws"]["paper"]["nominal_overshoot"] == pytest.approx(3.26, abs=0.01)
     assert result["laws"]["paper"]["delay_margin_ticks"] == pytest.approx(21.0, abs=0.1)
     assert (result["seed"], result["suite"]["plants"]) == (measure.FIRST_SEED, 2)
-    shown = report.text(result)
-    assert shown.count("ptos") == 4
+    moves_written = (tmp_path / "moves.csv").read_text("utf-8").splitlines()
+    assert len(moves_written) == 1 + 2 * 2 * 2 * 3
+    assert moves_written[1].startswith(f"paper,0.0,{measure.FIRST_SEED},1,")
+
+
+def test_without_json_the_command_prints_a_table_a_level_and_move(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["control_quality", "--plants", "2", "--law", "ptos", "--workers", "1"])
+    assert command.main() == 0
+    shown = capsys.readouterr().out
+    assert shown.count("\nptos ") == shown.count("\nlaw ") == 4
     assert "noise 0.0316 mm, third move on each of 2 plants" in shown
 
 
@@ -306,7 +329,7 @@ def test_the_optimiser_finds_the_same_again_and_something_better(monkeypatch: py
     assert found == tuning.tune(job)
     assert found["cost"] < found["start_cost"]
     law_type = contestants.baseline("ptos")
-    assert tuning.target_of(law_type, found["values"], training) == pytest.approx(found["cost"], rel=0.01)
+    assert tuning.target_of(law_type, found["values"], training) == pytest.approx(found["cost"], abs=1e-4)
 
 
 def test_what_misses_the_margins_costs_more() -> None:
@@ -323,5 +346,105 @@ def test_jobs_keep_their_order_in_processes_of_their_own() -> None:
 
 def test_a_law_that_is_new_to_the_suite_moves() -> None:
     for name in NAMES:
-        outcome = suite.run(contestants.law_for(name, suite.nominal().axis), suite.nominal(), 1)[0]
+        outcome = suite.run(contestants.law_for(name, suite.nominal()), suite.nominal(), 1)[0]
         assert outcome.overshoot < 5.0
+
+
+@pytest.mark.parametrize("scenario", [scenarios.SUITE, *scenarios.SCENARIOS])
+def test_a_scenario_changes_one_thing(scenario: str) -> None:
+    changed = scenarios.scenario_cases(scenario, 20, 0.0, 42)
+    for case, same in zip(changed, cases(20, 0.0, 42), strict=True):
+        if scenario == "two ticks of delay":
+            assert case == replace(same, axis=replace(same.axis, delay_ticks=2))
+        elif scenario.startswith("load step"):
+            assert case.step is not None
+            assert case == replace(same, step=case.step)
+            assert -1.0 <= same.axis.load + case.step.size <= 1.0
+            found = quickest_move(same.axis, same.axis.load, same.distance, same.velocity)
+            begins = {"accelerating": 0.0, "cruise": found.accelerating_s}.get(
+                scenario.rsplit(maxsplit=1)[-1], found.accelerating_s + found.cruising_s
+            )
+            assert begins <= case.step.at_s <= found.bound_s + found.in_band_s
+        elif scenario == scenarios.SUITE:
+            assert case == same
+        else:
+            assert (case.axis.gain / suite.GAIN - 1.0) == pytest.approx((same.axis.gain / suite.GAIN - 1.0) * 5.0 / 3.0)
+
+
+def test_there_are_no_other_scenarios() -> None:
+    with pytest.raises(ValueError, match="there is no scenario 'rain'; there are: suite, load step while acc"):
+        scenarios.scenario_cases("rain", 1, 0.0, 1)
+
+
+def test_other_axes_are_the_suites_in_other_units() -> None:
+    for index in range(5):
+        for case in axes.axis_cases(index, 6):
+            model, axis = case.model, case.axis
+            unit = model.gain * axis.effort_limit * model.period_s**2
+            assert 0.5 <= model.gain <= 5000.0
+            assert 0.001 <= model.period_s <= 0.02
+            assert axis.quantum / unit == pytest.approx(1.0 / 18.0)
+            assert case.band == pytest.approx(10.0 * axis.quantum)
+            assert 0.69 <= axis.gain / model.gain <= 1.31
+            # It reaches its velocity against load and friction, and the effort may reverse within two ticks.
+            assert axis.gain * (axis.effort_limit - 1.5) > axis.pole * case.velocity
+            assert axis.effort_rate * model.period_s == pytest.approx(axis.effort_limit)
+
+
+def test_an_axis_that_a_law_refuses_is_counted() -> None:
+    found = axes.measure_axes(["paper"], 2, workers=1, show=False)["paper"]
+    assert found.refused + len(found.excess_ticks) == 2
+    assert axes.rows_of({"x": axes.AxesFigures(2, (), ())}) == [("x", "2", "-", "-", "-", "-")]
+
+
+def test_the_docs_get_their_tables_and_pictures(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = tmp_path / "control-quality.md"
+    marks = [f"noise {noise}, {move}" for noise in ("0", "0.0316") for move in ("first", "third")]
+    marks += ["nominal", "scenarios", "axes", "frames"]
+    page.write_text("".join(f"<!-- {mark}: begin -->\n<!-- {mark}: end -->\n" for mark in marks), "utf-8")
+    (tmp_path / "pictures").mkdir()
+    monkeypatch.setattr(command, "_PAGE", page)
+    monkeypatch.setattr(axes, "AXES", 1)
+    arguments = ["--plants", "4", "--law", "ptos", "--law", "cnf", "--workers", "1", "--docs"]
+    monkeypatch.setattr(sys, "argv", ["control_quality", *arguments])
+    assert command.main() == 0
+    written = page.read_text("utf-8")
+    assert sum(line.startswith("| ptos | ") for line in written.splitlines()) == 5
+    assert "| two ticks of delay | ptos | " in written
+    assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == [
+        f"control-quality-{name}.svg" for name in ("end", "excess", "margins")
+    ]
+    assert capsys.readouterr().err.count(" written\n") == 4
+
+
+def test_what_was_tuned_belongs_to_the_laws_as_they_are() -> None:
+    if not contestants.TUNED.exists():
+        pytest.skip("nothing has been tuned")
+    found = json.loads(contestants.TUNED.read_text("utf-8"))
+    assert (found["seed"], found["budget"]) == (tuning.SEED, tuning.BUDGET)
+    for name in contestants.baselines():
+        parameters = contestants.baseline(name).parameters
+        for noise in suite.NOISES:
+            values = found["laws"][name][contestants.level(noise)]["values"]
+            assert set(values) == set(parameters)
+            for key, value in values.items():
+                assert 0.999 * parameters[key].low <= value <= 1.001 * parameters[key].high
+
+
+def test_over_frames_an_axis_moves_as_by_the_law_alone() -> None:
+    sample = over_frames.valid_cases(3)
+    assert all(case.velocity <= 0.9 * case.axis.effort_limit * suite.GAIN / suite.POLE for case in sample)
+    found = [over_frames.outcome_of(over_frames.FramesJob("paper", case)) for case in sample]
+    for outcome in found:
+        assert outcome.trip == ""
+        assert outcome.frames_overshoot == pytest.approx(outcome.alone_overshoot, abs=0.01)
+        assert outcome.frames_s == pytest.approx(outcome.alone_s, abs=0.5 * PERIOD_S)
+    assert over_frames.rows_of({"paper": found})[0][:3] == ("paper", "3", "0")
+
+
+def test_a_trip_over_frames_is_a_figure() -> None:
+    case = over_frames.valid_cases(6)[5]  # a healthy axis: gain and pole are 30 % off
+    found = replace(over_frames.outcome_of(over_frames.FramesJob("paper", case)), trip="stall")
+    assert over_frames.rows_of({"paper": [found, found]})[0][:3] == ("paper", "2", "2 (stall)")

@@ -31,6 +31,7 @@ LAWS = {
     "initial_value": "INITIAL_VALUE",
     "active_disturbance_rejection": "ACTIVE_DISTURBANCE_REJECTION",
     "profile_pid": "PROFILE_PID",
+    "optimal_two_stage": "OPTIMAL_TWO_STAGE",
 }
 EFFORT_LIMIT, EFFORT_RATE = 10.0, 1000.0
 

@@ -2,16 +2,15 @@
 
 import functools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
-from tools.bench.control_quality.suite import GAIN, PERIOD_S, POLE, SuiteLaw
-from tools.bench.control_quality.true_plant import TrueAxis
+from tools.bench.control_quality.suite import Case, Model, SuiteLaw
 from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.config.loader import load
-from twostage_servo.control.baselines.tunable import TunableLawType, Values
+from twostage_servo.control.baselines.tunable import TunableLaw, TunableLawType, Values
 from twostage_servo.control.laws.law import Controller, ControlTask
 from twostage_servo.control.laws.registry import LAWS
 from twostage_servo.control.observer import NoiseModel, kalman_gain
@@ -25,6 +24,7 @@ _BASELINES: Final = {
     "initial_value_compensation": ("initial_value", "INITIAL_VALUE"),
     "adrc": ("active_disturbance_rejection", "ACTIVE_DISTURBANCE_REJECTION"),
     "pid": ("profile_pid", "PROFILE_PID"),
+    "paper_tuned": ("optimal_two_stage", "OPTIMAL_TWO_STAGE"),
 }
 """Name, module and attribute of each."""
 TUNED: Final = Path(__file__).with_name("tuned.json")
@@ -74,14 +74,14 @@ def _found(name: str) -> TunableLawType | None:
     return law_type
 
 
-def law_for(name: str, axis: TrueAxis) -> SuiteLaw:
-    """Return a fresh law for an axis of which it knows the limits and the encoder, and the suite's model."""
+def law_for(name: str, case: Case) -> SuiteLaw:
+    """Return a fresh law for the axis of a case, of which it knows the model, the limits and the encoder."""
     if name in _BASELINES:
-        return baseline(name).build(task_for(axis.effort_limit, axis.effort_rate), values_of(name, axis.noise))
-    return project_design(name, axis.effort_limit, axis.effort_rate, axis.noise).build_law()
+        return _built(name, case)
+    return design_for(name, case).build_law()
 
 
-def controller_of(name: str, axis: TrueAxis) -> Controller:
+def controller_of(name: str, case: Case) -> Controller:
     """Return what a law is at rest near its set-point, as a linear system.
 
     Raises
@@ -90,23 +90,43 @@ def controller_of(name: str, axis: TrueAxis) -> Controller:
         If the law's design does not tell.
     """
     if name in _BASELINES:
-        values = values_of(name, axis.noise)
-        return baseline(name).build(task_for(axis.effort_limit, axis.effort_rate), values).controller()
-    loop = project_design(name, axis.effort_limit, axis.effort_rate, axis.noise).law.loops().get("position")
+        return _built(name, case).controller()
+    loop = design_for(name, case).law.loops().get("position")
     if loop is None or loop.controller is None:
         raise LookupError(f"the law {name!r} does not tell its position stage")
     return loop.controller
 
 
-@functools.cache
-def task_for(effort_limit: float, effort_rate: float) -> ControlTask:
-    """Return the task of every baseline on the suite's model."""
-    plant = Plant(GAIN, POLE)
-    sampled = plant.discretise(PERIOD_S)
+def design_for(name: str, case: Case) -> AxisDesign:
+    """Return the design of a law of the project for the axis of a case."""
+    axis = case.axis
+    encoder = max(axis.noise, axis.quantum / 3.0)
+    return project_design(name, case.model, axis.effort_limit, axis.effort_rate, encoder)
+
+
+def encoder_keys(name: str, encoder: float) -> list[str]:
+    """Return what tells a law of the project the encoder's standard deviation, in mm, if it has a key for it."""
+    known = "encoder_noise" in LAWS.get(name).settings.model_fields
+    return [f"axis.law.{name}.encoder_noise={encoder}"] if known else []
+
+
+def _built(name: str, case: Case) -> TunableLaw:
+    return baseline(name).build(task_for(case), values_of(name, case.axis.noise))
+
+
+def task_for(case: Case) -> ControlTask:
+    """Return the task of every baseline for a case."""
+    return _task(case.model, case.axis.effort_limit, case.axis.effort_rate)
+
+
+@functools.lru_cache(maxsize=256)
+def _task(model: Model, effort_limit: float, effort_rate: float) -> ControlTask:
+    plant = Plant(model.gain, model.pole)
+    sampled = plant.discretise(model.period_s)
     return ControlTask(
         plant=plant,
         sampled=sampled,
-        period_s=PERIOD_S,
+        period_s=model.period_s,
         noise=NoiseModel(),
         kalman=kalman_gain(sampled, NoiseModel()),
         velocity_limit=_NO_LIMIT,
@@ -117,26 +137,33 @@ def task_for(effort_limit: float, effort_rate: float) -> ControlTask:
     )
 
 
-@functools.cache
-def project_design(name: str, effort_limit: float, effort_rate: float, noise: float) -> AxisDesign:  # noqa: ARG001
-    """Return the design of the demo's axis with a law, with an axis' own limits of the effort and no other.
+@functools.lru_cache(maxsize=256)
+def project_design(name: str, model: Model, effort_limit: float, effort_rate: float, encoder: float) -> AxisDesign:
+    """Return the design of the demo's axis with a law and a model, with an axis' own limits of the effort and no other.
 
     Parameters
     ----------
     name
         Of the law.
+    model
+        Gain, pole and tick.
     effort_limit, effort_rate
         In V and V/s.
-    noise
-        Of the encoder, in mm; no law is told of it yet.
+    encoder
+        Standard deviation of a sample, in mm: of its noise, or a third of its quantum where that is more.
     """
-    velocity = min(250.0, 0.99 * effort_limit * GAIN / POLE)  # what a valid configuration may ask for
-    overrides = (
-        f"axis.law.type={name}", f"axis.limits.effort={effort_limit}", f"axis.limits.effort_rate={effort_rate}",
-        f"axis.limits.velocity={velocity}", "axis.cruise_velocity=20", f"axis.limits.acceleration={_NO_LIMIT}",
-        f"axis.limits.quick_stop_deceleration={_NO_LIMIT}",
-    )  # fmt: skip
-    return design_axis(load(None, overrides).config.axis, PERIOD_S)
+    settings = load(None, [f"axis.law.type={name}", *encoder_keys(name, encoder)]).config.axis
+    velocity = 0.9 * effort_limit * abs(model.gain) / model.pole  # what a valid configuration may ask for
+    limits = {
+        "effort": effort_limit, "effort_rate": effort_rate, "acceleration": _NO_LIMIT,
+        "quick_stop_deceleration": _NO_LIMIT, "velocity": velocity, "overspeed": 2.0 * velocity,
+    }  # fmt: skip
+    # Copied, not loaded: the demo's other limits are in mm, and do not matter to a law.
+    update = {
+        "plant": settings.plant.model_copy(update={"gain": model.gain, "pole": model.pole}),
+        "limits": settings.limits.model_copy(update=limits),
+    }
+    return design_axis(settings.model_copy(update=update), model.period_s)
 
 
 @functools.cache
@@ -159,7 +186,3 @@ def values_of(name: str, noise: float) -> Values:
 def level(noise: float) -> str:
     """Return the name of a noise level."""
     return f"{noise:g}"
-
-
-Maker = Callable[[TrueAxis], SuiteLaw]
-"""From an axis to a fresh law for it."""

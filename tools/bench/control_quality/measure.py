@@ -1,14 +1,17 @@
 """From laws to figures: the jobs of a run, and what their outcomes come to."""
 
+import csv
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from tools.bench.control_quality import contestants
 from tools.bench.control_quality.jobs import run_jobs
 from tools.bench.control_quality.margins import loop_figures
+from tools.bench.control_quality.scenarios import SCENARIOS, SUITE, scenario_cases
 from tools.bench.control_quality.suite import (
     BAND,
     DISTANCES,
@@ -18,7 +21,6 @@ from tools.bench.control_quality.suite import (
     SPREAD,
     VELOCITIES,
     Outcome,
-    cases,
     nominal,
     run,
 )
@@ -29,7 +31,8 @@ MOVES: Final = 3
 _AT_ONCE: Final = 50
 """Cases a job: some seconds at most."""
 _NOMINAL_WATCHED_S: Final = 10.0
-_ORDINALS: Final = {"first": 0, "third": 2}
+ORDINALS: Final = {"first": 0, "third": 2}
+"""Names of the moves that are reported, and their places."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +49,8 @@ class Job:
         Which cases.
     moves
         On each.
-    spread
-        Of the plants' gain and pole.
+    scenario
+        The suite's cases, or one of :data:`~tools.bench.control_quality.scenarios.SCENARIOS`.
     """
 
     law: str
@@ -55,14 +58,14 @@ class Job:
     first_seed: int
     count: int
     moves: int = MOVES
-    spread: float = SPREAD
+    scenario: str = SUITE
 
 
 def outcomes_of(job: Job) -> list[list[Outcome]]:
     """Run a job; return the outcomes of its cases, each with one of every move."""
     return [
-        run(contestants.law_for(job.law, case.axis), case, job.moves)
-        for case in cases(job.count, job.noise, job.first_seed, spread=job.spread)
+        run(contestants.law_for(job.law, case), case, job.moves)
+        for case in scenario_cases(job.scenario, job.count, job.noise, job.first_seed)
     ]
 
 
@@ -104,6 +107,34 @@ def measure(
     return Measured(plants, first_seed, outcomes)
 
 
+def write_outcomes(measured: Measured, path: Path) -> None:
+    """Write every move of a run as a row of a CSV file."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("law", "noise_mm", "seed", "move", "excess_s", "settling_s", "overshoot_mm", "peak_velocity"))
+        for (law, noise), found in measured.outcomes.items():
+            for index, moves in enumerate(found):
+                for move, one in enumerate(moves, start=1):
+                    figures = one.excess_s, one.settling_s, one.overshoot, one.peak_velocity
+                    writer.writerow((law, noise, measured.first_seed + index, move, *(f"{x:.6g}" for x in figures)))
+
+
+def measure_scenarios(
+    laws: Sequence[str], plants: int, first_seed: int = FIRST_SEED, *, workers: int | None = None, show: bool = True
+) -> dict[tuple[str, str], list[Outcome]]:
+    """Run first moves beyond the suite with a quiet encoder; return the outcomes by law and scenario."""
+    jobs = [
+        Job(law, NOISES[0], first_seed + begin, min(_AT_ONCE, plants - begin), 1, scenario)
+        for law in laws
+        for scenario in SCENARIOS
+        for begin in range(0, plants, _AT_ONCE)
+    ]
+    outcomes: dict[tuple[str, str], list[Outcome]] = {}
+    for job, found in zip(jobs, run_jobs(outcomes_of, jobs, workers=workers, show=show), strict=True):
+        outcomes.setdefault((job.law, job.scenario), []).extend(moves[0] for moves in found)
+    return outcomes
+
+
 def result_of(measured: Measured) -> dict[str, Any]:
     """Return the figures of a run as they are printed with ``--json``."""
     laws = dict.fromkeys(law for law, _ in measured.outcomes)
@@ -131,21 +162,22 @@ def result_of(measured: Measured) -> dict[str, Any]:
 def nominal_outcome(law: str, effort_limit: float) -> Outcome:
     """Return what the nominal move comes to."""
     case = nominal(effort_limit)
-    return run(contestants.law_for(law, case.axis), case, 1, watched_s=_NOMINAL_WATCHED_S)[0]
+    return run(contestants.law_for(law, case), case, 1, watched_s=_NOMINAL_WATCHED_S)[0]
 
 
-def nominal_figures(law: str) -> dict[str, float | None]:
+@functools.cache
+def nominal_figures(law: str) -> Mapping[str, float | None]:
     """Return settling and overshoot of the nominal move, and the figures of the loop; None for what is not finite."""
-    outcome, axis = nominal_outcome(law, 10.0), nominal().axis
+    outcome, case = nominal_outcome(law, 10.0), nominal()
     figures: dict[str, float | None] = {
         "nominal_s": finite(outcome.settling_s, 4),
         "nominal_overshoot": finite(outcome.overshoot, 4),
     }
     try:
-        controller = contestants.controller_of(law, axis)
+        controller = contestants.controller_of(law, case)
     except LookupError:
         return figures | dict.fromkeys(("peak_sensitivity", "delay_margin_ticks", "load_step_peak"))
-    loop = loop_figures(contestants.task_for(axis.effort_limit, axis.effort_rate).sampled, controller)
+    loop = loop_figures(contestants.task_for(case).sampled, controller)
     return figures | {
         "peak_sensitivity": finite(loop.peak_sensitivity, 3),
         "delay_margin_ticks": finite(loop.delay_margin_ticks, 3),
@@ -155,7 +187,7 @@ def nominal_figures(law: str) -> dict[str, float | None]:
 
 def figures_of_moves(outcomes: Sequence[Sequence[Outcome]]) -> dict[str, dict[str, dict[str, float]]]:
     """Return the figures of first and third moves."""
-    return {name: figures_of([moves[place] for moves in outcomes]) for name, place in _ORDINALS.items()}
+    return {name: figures_of([moves[place] for moves in outcomes]) for name, place in ORDINALS.items()}
 
 
 def figures_of(outcomes: Sequence[Outcome]) -> dict[str, dict[str, float]]:

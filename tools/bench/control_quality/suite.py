@@ -43,6 +43,15 @@ class SuiteLaw(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
+class Model:
+    """What a law believes of its axis: gain in mm/s² per V, pole in 1/s and tick in s."""
+
+    gain: float = GAIN
+    pole: float = POLE
+    period_s: float = PERIOD_S
+
+
+@dataclass(frozen=True, slots=True)
 class LoadStep:
     """A load that changes in the first move.
 
@@ -72,6 +81,10 @@ class Case:
         Of its noise.
     step
         Of the load; None for none.
+    model
+        What the law is designed with.
+    band
+        Of settling, in mm.
     """
 
     axis: TrueAxis
@@ -79,6 +92,8 @@ class Case:
     velocity: float
     seed: int
     step: LoadStep | None = None
+    model: Model = Model()
+    band: float = BAND
 
 
 def cases(count: int, noise: float, first_seed: int, *, spread: float = SPREAD) -> list[Case]:
@@ -205,7 +220,8 @@ class Rig:
     """
 
     def __init__(self, law: SuiteLaw, case: Case) -> None:
-        self.plant = TruePlant(case.axis, PERIOD_S, case.seed)
+        self.plant = TruePlant(case.axis, case.model.period_s, case.seed)
+        self._case = case
         self.effort = 0.0
         self._law = law
         self._sample = self.plant.sample()
@@ -218,7 +234,7 @@ class Rig:
 
     def hold(self, duration_s: float) -> None:
         """Let some time pass."""
-        for _ in range(round(duration_s / PERIOD_S)):
+        for _ in range(round(duration_s / self._case.model.period_s)):
             self.tick()
 
     def move(self, target: float, velocity: float, watched_s: float, step: LoadStep | None = None) -> Outcome:
@@ -233,22 +249,22 @@ class Rig:
         step
             Of the load, if there is one.
         """
-        plant = self.plant
+        plant, period_s, band = self.plant, self._case.model.period_s, self._case.band
         sign = copysign(1.0, target - plant.position)
-        bound = quickest_move(plant.axis, plant.load, target - plant.position, velocity).bound_s
+        bound = quickest_move(plant.axis, plant.load, target - plant.position, velocity, band).bound_s
         self._law.set_target(target, velocity)
         settled = overshoot = peak = 0.0
-        for tick in range(round((bound + watched_s) / PERIOD_S)):
-            if step is not None and tick == round(step.at_s / PERIOD_S):
+        for tick in range(round((bound + watched_s) / period_s)):
+            if step is not None and tick == round(step.at_s / period_s):
                 plant.load += step.size
             before = abs(plant.position - target)
             self.tick()
             error = plant.position - target
-            if abs(error) > BAND:
+            if abs(error) > band:
                 settled = inf
             elif settled == inf:
-                share = (before - BAND) / (before - abs(error)) if before > BAND else 0.0
-                settled = (tick + share) * PERIOD_S
+                share = (before - band) / (before - abs(error)) if before > band else 0.0
+                settled = (tick + share) * period_s
             overshoot = max(overshoot, sign * error)
             peak = max(peak, abs(plant.velocity))
         return Outcome(min(settled - bound, LONGEST_EXCESS_S), settled, overshoot, peak / velocity)

@@ -17,6 +17,7 @@ Those of the field, within the limits of effort and effort rate, with parameters
 - :mod:`~twostage_servo.control.baselines.proximate_time_optimal`: PTOS.
 - :mod:`~twostage_servo.control.baselines.composite_nonlinear`: a speed stage, then composite nonlinear feedback.
 - :mod:`~twostage_servo.control.baselines.initial_value`: two stages with initial value compensation.
+- :mod:`~twostage_servo.control.baselines.optimal_two_stage`: the paper's law with other weights and variances.
 - :mod:`~twostage_servo.control.baselines.active_disturbance_rejection`: ADRC on a profile.
 - :mod:`~twostage_servo.control.baselines.profile_pid`: PID on a profile.
 """

@@ -34,7 +34,7 @@ from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import Controller, ControlTask
 
 _PARAMETERS: Final = {
-    "nonlinear_share": Parameter(1e-3, 0.3, 2.0, "beta: of the nonlinear part, at the set-point"),
+    "nonlinear_share": Parameter(1e-3, 0.05, 2.0, "beta: of the nonlinear part, at the set-point"),
     "nonlinear_decay": Parameter(0.1, 3.0, 100.0, "alpha: how closely the nonlinear part keeps to the set-point"),
     "velocity_weight_s": Parameter(1e-3, 0.03, 1.0, "weight of the velocity in W, beside 1 for the position, s"),
 }

@@ -14,7 +14,7 @@ from twostage_servo.control.baselines.tunable import Parameter, TunableLawType, 
 from twostage_servo.control.laws.law import ControlTask
 
 _PARAMETERS: Final = {
-    "acceleration_share": Parameter(0.05, 0.6, 1.5, "acceleration, as a share of what the effort limit gives at rest"),
+    "acceleration_share": Parameter(0.02, 0.3, 2.0, "acceleration, as a share of what the effort limit gives at rest"),
     "jerk_time_s": Parameter(0.002, 0.02, 0.2, "time in which the acceleration builds up, s"),
 }
 

@@ -15,7 +15,7 @@ from twostage_servo.control.laws.law import Controller, ControlTask
 
 _PARAMETERS: Final = {
     "frequency": Parameter(
-        2.0, 12.0, 80.0, "ω: the gains for three poles there are the measure of the next three, rad/s"
+        2.0, 9.0, 80.0, "ω: the gains for three poles there are the measure of the next three, rad/s"
     ),
     "proportional": Parameter(0.2, 1.0, 5.0, "Kp beside 3 ω²/b"),
     "integral": Parameter(0.05, 1.0, 5.0, "Ki beside ω³/b"),

@@ -15,13 +15,13 @@ from twostage_servo.control.observer import DisturbanceObserver, extended_model
 from twostage_servo.control.plant import DiscretePlant, Triple
 
 OBSERVER_PARAMETERS: Final = {
-    "observer_single": Parameter(3.0, 60.0, 400.0, "real pole of the disturbance observer, rad/s"),
-    "observer_frequency": Parameter(3.0, 40.0, 250.0, "natural frequency of its other two poles, rad/s"),
-    "observer_damping": Parameter(0.3, 0.8, 1.0, "damping ratio of these"),
+    "observer_single": Parameter(3.0, 30.0, 400.0, "real pole of the disturbance observer, rad/s"),
+    "observer_frequency": Parameter(3.0, 220.0, 310.0, "natural frequency of its other two poles, rad/s"),
+    "observer_damping": Parameter(0.15, 0.5, 1.0, "damping ratio of these"),
 }
 FEEDBACK_PARAMETERS: Final = {
-    "feedback_frequency": Parameter(3.0, 25.0, 250.0, "natural frequency of the position loop, rad/s"),
-    "feedback_damping": Parameter(0.4, 0.9, 1.0, "damping ratio of the position loop"),
+    "feedback_frequency": Parameter(3.0, 22.0, 310.0, "natural frequency of the position loop, rad/s"),
+    "feedback_damping": Parameter(0.3, 0.95, 1.0, "damping ratio of the position loop"),
 }
 
 

@@ -14,8 +14,8 @@ from twostage_servo.control.baselines.tunable import Parameter, TunableLawType, 
 from twostage_servo.control.laws.law import ControlTask
 
 ACCELERATION_PARAMETERS: Final = {
-    "acceleration_share": Parameter(0.05, 0.6, 1.0, "acceleration, as a share of what the effort limit gives at rest"),
-    "deceleration_share": Parameter(0.05, 0.6, 1.5, "deceleration, as a share of the same"),
+    "acceleration_share": Parameter(0.02, 0.9, 2.0, "acceleration, as a share of what the effort limit gives at rest"),
+    "deceleration_share": Parameter(0.02, 0.15, 2.0, "deceleration, as a share of the same"),
 }
 
 
