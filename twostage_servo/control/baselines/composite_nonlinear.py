@@ -10,8 +10,8 @@ and ``P = (A - B F)' P (A - B F) + W``:
 and rho grows as the error dies down: quick at first, well damped at the end. Here
 ``rho = -beta/(B' P B) exp(-alpha |e|/p)``.
 
-The speed stage holds the cruise velocity. The change-over comes where CNF would ask for no more effort than it, so the
-effort goes on without a step; p is the distance at that instant.
+The speed stage holds the cruise velocity. The change-over comes in the first tick in which CNF asks for no more effort
+than it, so the effort steps by what CNF changes in a tick at most; p is the distance at that instant.
 """
 
 from math import copysign, exp
