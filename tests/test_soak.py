@@ -398,6 +398,17 @@ def test_from_rest_another_scale_shows_at_twice_the_speed_at_which_it_does_in_a_
     assert (soak.watch.check(far, speed, 0.0) is not None) is told
 
 
+@pytest.mark.parametrize(("gain", "pole", "share"), [(1.0, 1.0, 1.0), (1.18, 1.0, 1.2), (1.0, 0.9, 1.2)])
+def test_an_axis_whose_plant_is_off_its_model_may_go_a_fifth_farther(
+    gain: float, pole: float, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    bound = share * travel_bound(soak.axis.design, 100.0, -1.0)
+    soak.watch.begin(-1.0, 0.0, 100.0, gain, pole)
+    assert soak.watch.check(0.99 * bound, 100.0, 0.0) is None
+    assert soak.watch.check(1.01 * bound, 100.0, 0.0) is not None
+
+
 @pytest.mark.parametrize(("ticks_before", "told"), [(299, False), (300, True)])
 def test_what_a_cruise_is_has_a_unit_of_time(ticks_before: int, *, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """It lasts 300 ms. Of a tick of 1 ms, 30 had been enough, in which the speed of any axis hardly changes."""

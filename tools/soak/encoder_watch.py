@@ -2,9 +2,9 @@
 
 As in :mod:`twostage_servo.faults.budget`, the way has three parts, each from the limits and the model: what passes
 before the fault is certain, which `check` holds to the position overrun unless ``axis.limits.undetected_travel`` states
-more; the latency; and coming to rest, by the quick stop or without effort, whichever takes longer. The speed is that of
-the motion that was asked for; an encoder that counts half lets the law drive twice as fast, and one that stands still
-lets the effort grow by the stall effort until it is told from friction.
+more, on the model's own plant; the latency; and coming to rest, by the quick stop or without effort, whichever takes
+longer. The speed is that of the motion that was asked for; an encoder that counts half lets the law drive twice as
+fast, and one that stands still lets the effort grow by the stall effort until it is told from friction.
 
 Another scale is told by the jump of the measured speed where it comes in a cruise, from the slowest speed on of which
 `check` says so (:func:`certain_speed`). A plant off its model makes the estimate of the speed wrong while that changes:
@@ -34,6 +34,11 @@ REFUSED_GAINS = (0.45, 2.2)
 
 _SAMPLE_AGE_TICKS = 2
 """A fault may fall just behind a sample, and a sample is read a tick after it was taken."""
+
+_OFF_MODEL_SHARE = 1.2
+"""How far an axis may go whose plant is off its model, as a multiple of the bound: `check` computes the undetected
+travel on the model's own plant. The largest that 200 hours found is 1.115, of a plant with 0.70 of the gain and 1.29 of
+the pole."""
 
 _CRUISE_S = 0.3
 """Time after which the estimate of the speed is that of a cruise: 30 ticks of 10 ms, of whatever length they are."""
@@ -294,6 +299,8 @@ class EncoderWatch:
 
     def _set_bound(self) -> None:
         certain = travel_bound(self._axis.design, self._speed, self.factor)
+        if (self._gain, self._pole) != (1.0, 1.0):
+            certain *= _OFF_MODEL_SHARE
         self._bound = certain if self._is_certain else math.inf
 
     def _accuracy(self, speed: float) -> float:

@@ -302,10 +302,11 @@ def test_what_is_reckoned_is_that_of_the_first_certain_change_that_explains_as_m
         (0, -1.0, -110.0, 0.0),
         (1, -1.0, -111.0 / 1.3, 1.0),  # on the plant with 30 % more gain
         (2, -1.0, -112.0 / 0.7, 2.0),
-        (3, 0.45, 113.0 / 0.45, 3.0),
-        (4, 0.5, 228.0, 4.0),
-        (5, 2.0, 57.5, 5.0),
-        (6, 2.2, 116.0 / 2.2, 6.0),
+        (3, 0.3, 113.0 / 0.3, 3.0),
+        (4, 0.45, 114.0 / 0.45, 4.0),
+        (5, 0.5, 230.0, 5.0),
+        (6, 2.0, 58.0, 6.0),
+        (7, 2.2, 117.0 / 2.2, 7.0),
     ],
 )
 def test_with_another_gain_the_speed_that_is_reckoned_is_that_of_the_model_which_the_same_effort_brings_to_rest(

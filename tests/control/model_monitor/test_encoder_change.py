@@ -256,11 +256,11 @@ def test_at_standstill_it_takes_four_times_the_surprise_that_decides(accepted: f
     assert moving.is_certain(LEAST, accepted, 0.0)
 
 
-@pytest.mark.parametrize(("factor", "patience"), [(-1.0, 0.3), (0.5, 0.0), (2.0, 0.0)])
+@pytest.mark.parametrize(("factor", "patience"), [(-1.0, 3.0), (0.5, 0.0), (2.0, 0.0)])
 def test_an_encoder_that_turns_round_may_explain_a_little_less_for_a_while_and_then_has_to_be_answered(
     factor: float, patience: float
 ) -> None:
-    """By 0.3 of (0.125 mm)²; it is certain again after 50 ms, and five samples, whatever has jumped."""
+    """By three times (0.125 mm)²; it is certain again after 50 ms, and five samples, whatever has jumped."""
 
     def after(less: float) -> EncoderChange:
         one = change(factor, estimate(50.0))

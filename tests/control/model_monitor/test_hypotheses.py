@@ -24,7 +24,7 @@ def test_the_model_comes_first_and_each_accepted_plant_comes_with_a_later_effort
 def test_other_gains_are_another_sign_and_a_factor_of_two_or_more_on_plants_whose_effort_is_in_time() -> None:
     assert [(other.factor, *other.plant, other.evidence) for other in OTHER_GAINS] == [
         (-1.0, 1.0, 1.0, False, 8.0), (-1.0, 1.3, 0.7, False, 8.0), (-1.0, 0.7, 1.0, False, 8.0),
-        (0.45, 1.0, 1.0, False, 5.0), (0.5, 1.0, 1.0, False, 30.0),
+        (0.3, 1.0, 1.0, False, 5.0), (0.45, 1.0, 1.0, False, 5.0), (0.5, 1.0, 1.0, False, 30.0),
         (2.0, 1.0, 1.0, False, 8.0), (2.2, 1.0, 1.0, False, 5.0),
     ]  # fmt: skip
     assert CHANGE_FACTORS == (-1.0, 0.0, 0.5, 2.0)

@@ -57,16 +57,18 @@ OTHER_GAINS: Final = (
     OtherGain(-1.0, Deviation(1.0, 1.0), evidence=8.0),
     OtherGain(-1.0, Deviation(1.3, 0.7), evidence=8.0),
     OtherGain(-1.0, Deviation(0.7, 1.0), evidence=8.0),
+    OtherGain(0.3, Deviation(1.0, 1.0), evidence=5.0),
     OtherGain(0.45, Deviation(1.0, 1.0), evidence=5.0),
     OtherGain(0.5, Deviation(1.0, 1.0), evidence=30.0),
     OtherGain(2.0, Deviation(1.0, 1.0), evidence=8.0),
     OtherGain(2.2, Deviation(1.0, 1.0), evidence=5.0),
 )
 """Gains that are not. A sign is told from as little as it takes on a plant that is off its model too. A factor of two,
-either way, is what a wrong setting of a decoder or a gear makes; beyond that come 0.45 and 2.2. Twice the gain takes as
-much as a sign: a load that sets in while an axis begins to move, and helps, looks like it 5 times. Half the gain takes
-more: while a plant with 30 % less gain and a pole 30 % higher speeds up, it explains that up to 23 times better than
-each accepted plant does."""
+either way, is what a wrong setting of a decoder or a gear makes; beyond that come 0.45, 0.3 and 2.2. The smallest is
+near to an axis that hardly answers: half the scale on a plant of a third of the gain, or a drive that keeps its effort
+while it should brake. Twice the gain takes as much as a sign: a load that sets in while an axis begins to move, and
+helps, looks like it 5 times. Half the gain takes more: while a plant with 30 % less gain and a pole 30 % higher speeds
+up, it explains that up to 23 times better than each accepted plant does."""
 
 CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 """How many times as much the encoder counts after a change."""
