@@ -11,8 +11,9 @@ from tests.axis.rig import DEMO, PERIOD_S, axis_settings, paper
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.margins import Margins
 from twostage_servo.control.laws.paper import TwoStageLaw
-from twostage_servo.control.laws.paper_margins import Margins, loop_margins
+from twostage_servo.control.laws.paper_margins import loop_margins
 from twostage_servo.control.laws.stop import StopDesign
 from twostage_servo.control.model_monitor.hypotheses import OTHER_GAINS
 from twostage_servo.control.observer import NO_CORRECTION

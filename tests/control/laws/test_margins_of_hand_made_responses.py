@@ -7,14 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from twostage_servo.control.laws.law import Stage
-from twostage_servo.control.laws.paper_margins import (
-    Margins,
-    _gain_margins,
-    _phase_margins,
-    closed_loop_poles,
-    controller,
-    loop_margins,
-)
+from twostage_servo.control.laws.margins import Margins, _gain_margins, _phase_margins
+from twostage_servo.control.laws.paper_margins import closed_loop_poles, controller, loop_margins
 from twostage_servo.control.observer import NoiseModel, kalman_gain
 from twostage_servo.control.optimal import servo_gains
 from twostage_servo.control.plant import DiscretePlant, Plant

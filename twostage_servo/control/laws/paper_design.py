@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
+from twostage_servo.control.laws.margins import loop_of
 from twostage_servo.control.laws.paper import TwoStageLaw
-from twostage_servo.control.laws.paper_margins import closed_loop_poles, loop_margins, stage_controller
+from twostage_servo.control.laws.paper_margins import closed_loop_poles, loop_margins, stage_control, stage_controller
 from twostage_servo.control.laws.stop import StopDesign
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains, servo_gains
@@ -106,16 +107,7 @@ class PaperDesign:
         loops = {}
         for stage in Stage:
             loop = (self.task.sampled, self.servo_gains, self.task.kalman, self.task.noise, stage)
-            margins = loop_margins(*loop)
-            loops[stage.name.lower()] = Loop(
-                margins.gain_margin,
-                margins.gain_reduction_margin,
-                margins.phase_margin_deg,
-                margins.delay_margin_s,
-                margins.modulus_margin,
-                tuple(sorted(closed_loop_poles(*loop), key=abs, reverse=True)),
-                stage_controller(*loop),
-            )
+            loops[stage.name.lower()] = loop_of(stage_control(*loop), self.task.sampled, stage_controller(*loop))
         return loops
 
 

@@ -1,13 +1,13 @@
-"""Poles and stability margins of the loop that really runs: observer, transport of one period, sum and all.
+"""Poles and stability margins of the paper's loop as it really runs: observer, transport of one period, sum and all.
 
-The loop is broken at the effort. With ``z = [x_o; I]`` the controller is ``z(k+1) = A_c z(k) + B_c y(k)`` and
-``u(k) = C_c z(k)``, equations (26), (29) and (30); the plant closes it.
+With ``z = [x_o; I]`` the controller is ``z(k+1) = A_c z(k) + B_c y(k)`` and ``u(k) = C_c z(k)``, equations (26), (29)
+and (30).
 """
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from twostage_servo.control.laws.law import Controller, Stage
+from twostage_servo.control.laws.margins import FREQUENCIES, Control, Margins, margins_of, poles_of
 from twostage_servo.control.laws.stop import braking_gain
 from twostage_servo.control.observer import KalmanGain, NoiseModel, extended_model
 from twostage_servo.control.optimal import ServoGains
@@ -18,41 +18,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Matrix = NDArray[np.float64]
-
-_FREQUENCIES = 20_000
-
-
-@dataclass(frozen=True, slots=True)
-class Margins:
-    """Margins of one stage's loop.
-
-    Attributes
-    ----------
-    gain_margin
-        Factor by which the loop gain may grow before it becomes unstable; infinity if none does.
-    gain_reduction_margin
-        Factor (below 1) down to which the loop gain may fall before it becomes unstable; 0 if none does.
-    phase_margin_deg
-        Smallest phase in degrees that makes the loop unstable; infinity where the gain never passes 1.
-    delay_margin_s
-        Additional delay in s that makes the loop unstable; infinity where the gain never passes 1.
-    modulus_margin
-        Smallest distance of the loop's frequency response from -1, at most 1 for most loops.
-    spectral_radius
-        Largest magnitude of the closed loop's poles, apart from the position in the speed stage, which is not fed back.
-    """
-
-    gain_margin: float
-    gain_reduction_margin: float
-    phase_margin_deg: float
-    delay_margin_s: float
-    modulus_margin: float
-    spectral_radius: float
-
-    @property
-    def stable(self) -> bool:
-        """Whether every closed-loop pole lies inside the unit circle."""
-        return self.spectral_radius < 1.0
 
 
 def controller(
@@ -78,17 +43,22 @@ def controller(
     return a_c, b_c, np.hstack([-feedback, [[1.0]]])
 
 
+def stage_control(
+    model: DiscretePlant, gains: ServoGains, kalman: KalmanGain, noise: NoiseModel, stage: Stage
+) -> Control:
+    """Return a stage's controller as one whose loop can be looked at."""
+    return Control(*controller(model, gains, kalman, noise, stage), feeds_position=stage is Stage.POSITION)
+
+
 def stage_controller(
     model: DiscretePlant, gains: ServoGains, kalman: KalmanGain, noise: NoiseModel, stage: Stage
 ) -> Controller:
     """Return a stage's controller in plain numbers, with the place where its set-point enters: the sum of the error."""
-    a_c, b_c, c_c = (
-        tuple(tuple(map(float, row)) for row in matrix) for matrix in controller(model, gains, kalman, noise, stage)
-    )
+    control = stage_control(model, gains, kalman, noise, stage)
     if stage is Stage.BRAKE:
-        return Controller(a_c, b_c, c_c)
-    enters = ((0.0,), (0.0,), (0.0,), (gains.f22,))
-    return Controller(a_c, b_c, c_c, enters, "position" if stage is Stage.POSITION else "velocity")
+        return control.in_numbers()
+    follows = "position" if stage is Stage.POSITION else "velocity"
+    return control.in_numbers((0.0, 0.0, 0.0, gains.f22), follows)
 
 
 def closed_loop_poles(
@@ -101,17 +71,9 @@ def closed_loop_poles(
 ) -> list[complex]:
     """Return the poles of a stage's closed loop: 6 in the position stage, 5 in the speed stage, 4 in a stop.
 
-    Only the position stage feeds the position back. In the others one pole at exactly 1 is left out: moving axis and
-    estimate together changes nothing. Parameters as in :func:`loop_margins`.
+    Parameters as in :func:`loop_margins`.
     """
-    import numpy as np  # noqa: PLC0415 - see servo_gains
-
-    a_c, b_c, c_c = controller(model, gains, kalman, noise, stage)
-    a_p, b_p, c_p = _plant_matrices(plant or model)
-    poles = np.linalg.eigvals(np.block([[a_p, b_p @ c_c], [b_c @ c_p, a_c]]))
-    if stage is not Stage.POSITION:
-        poles = np.delete(poles, np.argmin(np.abs(poles - 1.0)))
-    return [complex(pole) for pole in poles]
+    return poles_of(stage_control(model, gains, kalman, noise, stage), plant or model)
 
 
 def loop_margins(
@@ -121,7 +83,7 @@ def loop_margins(
     noise: NoiseModel,
     stage: Stage,
     plant: DiscretePlant | None = None,
-    frequencies: int = _FREQUENCIES,
+    frequencies: int = FREQUENCIES,
 ) -> Margins:
     """Compute poles and margins of a stage's loop.
 
@@ -138,64 +100,4 @@ def loop_margins(
     frequencies
         Points at which the frequency response is looked at; a tenth of the default is within 1 %.
     """
-    import numpy as np  # noqa: PLC0415 - see servo_gains
-
-    a_c, b_c, c_c = controller(model, gains, kalman, noise, stage)
-    a_p, b_p, c_p = _plant_matrices(plant or model)
-    angles = np.geomspace(1e-5, np.pi, frequencies)
-    response = -_frequency_response(a_p, b_p, c_p, angles) * _frequency_response(a_c, b_c, c_c, angles)
-    magnitude, phase = np.abs(response), np.unwrap(np.angle(response))
-    upper, lower = _gain_margins(magnitude, phase)
-    phase_margin, delay = _phase_margins(magnitude, phase, angles)
-    return Margins(
-        gain_margin=upper,
-        gain_reduction_margin=lower,
-        phase_margin_deg=float(np.degrees(phase_margin)),
-        delay_margin_s=float(delay * model.period_s),
-        modulus_margin=float(np.min(np.abs(1.0 + response))),
-        spectral_radius=max(abs(pole) for pole in closed_loop_poles(model, gains, kalman, noise, stage, plant)),
-    )
-
-
-def _plant_matrices(plant: DiscretePlant) -> "tuple[Matrix, Matrix, Matrix]":
-    import numpy as np  # noqa: PLC0415 - see servo_gains
-
-    a_p = np.array([[1.0, plant.a12], [0.0, plant.a22]])
-    return a_p, np.array([[plant.b1], [plant.b2]]), np.array([[1.0, 0.0]])
-
-
-def _frequency_response(a: "Matrix", b: "Matrix", c: "Matrix", angles: "Matrix") -> "NDArray[np.complex128]":
-    import numpy as np  # noqa: PLC0415 - see servo_gains
-
-    points = np.exp(1j * angles)[:, None, None]
-    solved = np.linalg.solve(points * np.eye(len(a)) - a, np.broadcast_to(b, (len(angles), *b.shape)))
-    return np.asarray((c @ solved)[:, 0, 0])
-
-
-def _gain_margins(magnitude: "Matrix", phase: "Matrix") -> tuple[float, float]:
-    import numpy as np  # noqa: PLC0415 - see servo_gains
-
-    turns = (phase - np.pi) / (2.0 * np.pi)  # a whole number where the response is real and negative
-    crossings = np.nonzero(np.floor(turns[:-1]) != np.floor(turns[1:]))[0]
-    factors = []
-    for index in crossings:
-        level = max(np.floor(turns[index]), np.floor(turns[index + 1]))
-        share = (level - turns[index]) / (turns[index + 1] - turns[index])
-        factors.append(1.0 / float(magnitude[index] ** (1.0 - share) * magnitude[index + 1] ** share))
-    return min((f for f in factors if f > 1.0), default=np.inf), max((f for f in factors if f < 1.0), default=0.0)
-
-
-def _phase_margins(magnitude: "Matrix", phase: "Matrix", angles: "Matrix") -> tuple[float, float]:
-    import numpy as np  # noqa: PLC0415 - see servo_gains
-
-    logarithm = np.log(magnitude)
-    crossings = np.nonzero(np.sign(logarithm[:-1]) != np.sign(logarithm[1:]))[0]
-    margin, delay = np.inf, np.inf
-    for index in crossings:
-        share = -logarithm[index] / (logarithm[index + 1] - logarithm[index])
-        angle = angles[index] + share * (angles[index + 1] - angles[index])
-        at_crossing = phase[index] + share * (phase[index + 1] - phase[index])
-        lag = (at_crossing - np.pi) % (2.0 * np.pi)  # how far the phase may fall before it meets -180 degrees
-        margin = min(margin, lag, 2.0 * np.pi - lag)
-        delay = min(delay, lag / angle)
-    return float(margin), float(delay)
+    return margins_of(stage_control(model, gains, kalman, noise, stage), plant or model, frequencies)
