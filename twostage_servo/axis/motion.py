@@ -10,7 +10,7 @@ from twostage_servo.axis.sample_date import SampleDate
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
 from twostage_servo.axis.tracking import Tracking
-from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.law import LearningLaw, Stage
 from twostage_servo.control.per_time import kept_in
 
 IMPLAUSIBLE_SAMPLES = 2
@@ -76,6 +76,7 @@ class Motion:
         self._long_gap_ticks = design.ticks(_LONG_GAP_MS)
         self._fading = kept_in(_FADING, design.period_s)
         self._drive = drive
+        self._rest_velocity = design.rest_velocity
         self._limits = design.settings.limits
         self._tracking = Tracking(self.law.observer, drive, self._gate)
         self._date = SampleDate(self.law.observer, drive, design.period_s)
@@ -114,6 +115,8 @@ class Motion:
 
     def set_target(self, target: float, velocity: float) -> None:
         """Set the target in axis unit, with a cruise velocity in axis unit/s."""
+        if self.law.stage is Stage.POSITION and abs(self.law.observer.velocity) <= self._rest_velocity:
+            self.model_monitor.forget_gains(self.law.observer)
         self.law.set_target(target, velocity)
         self.nominal.set_target(target, velocity)
 
@@ -251,6 +254,11 @@ class Motion:
         """How far apart the samples of the last stall time lie, in axis unit; infinity while there are not enough."""
         recent = self._recent
         return max(recent) - min(recent) if len(recent) == recent.maxlen else math.inf
+
+    def forget_plant(self) -> None:
+        """Forget what the law has found out of the plant: a fault may have been taken for it."""
+        if isinstance(self.law, LearningLaw):
+            self.law.forget()
 
     def lose_track(self) -> None:
         """Start the observer afresh at the next sample: what it holds is not to be built on."""

@@ -89,6 +89,7 @@ class TripLatch:
             return
         else:
             self.escalation = trip
+        self._motion.forget_plant()
         before = machine.state
         machine.apply(event)
         self._operation.end_move(MoveOutcome.TRIPPED, trip.cause)

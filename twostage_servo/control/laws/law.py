@@ -8,7 +8,7 @@ is driven, the axis lets it follow by itself.
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from twostage_servo.control.observer import DisturbanceObserver, KalmanGain, NoiseModel
 from twostage_servo.control.plant import DiscretePlant, Plant
@@ -97,6 +97,44 @@ class Law(Protocol):
 
     def continue_from(self, other: Any) -> None:
         """Copy the whole state of another law of the same design, its estimate included."""
+
+
+@dataclass(frozen=True, slots=True)
+class Learned:
+    """What a law has found out of its plant.
+
+    Attributes
+    ----------
+    gain, pole
+        Of the plant that it believes in, in axis unit/s² per effort unit and 1/s.
+    delay_ticks
+        How many ticks later than designed an effort acts.
+    load
+        What acts against each direction, friction included, in effort unit: forward and backward; None where not known.
+    moves
+        How many moves it has learned from.
+    is_sure
+        Whether it controls by that plant as by one that is known.
+    """
+
+    gain: float
+    pole: float
+    delay_ticks: int
+    load: tuple[float | None, float | None]
+    moves: int
+    is_sure: bool
+
+
+@runtime_checkable
+class LearningLaw(Law, Protocol):
+    """A law that identifies its plant as it moves it."""
+
+    def forget(self) -> None:
+        """Forget all of it: something was wrong that may have been taken for the plant's own."""
+
+    @property
+    def learned(self) -> Learned:
+        """What is known by now."""
 
 
 @dataclass(frozen=True, slots=True)

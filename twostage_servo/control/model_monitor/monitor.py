@@ -138,6 +138,17 @@ class ModelMonitor:
         self.surprise = self._sum**0.5
         self._reversal.start(model.innovation * model.innovation)
 
+    def forget_gains(self, model: DisturbanceObserver) -> None:
+        """Compare other gains from here on, from the estimate of the law's observer, as an axis sets out from rest.
+
+        What has not moved may count otherwise since, or answer otherwise. How badly another gain explained the last
+        braking, and the load that it made up for it, say nothing of the move that begins.
+        """
+        for observer in self._gains:
+            observer.continue_from(model)
+        self._sums = [self._sum] * len(OTHER_GAINS)
+        self._reversal.start(0.0)
+
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         for observer, _ in self._accepted:
