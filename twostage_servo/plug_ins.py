@@ -22,20 +22,20 @@ class PlugIns(Generic[KindT]):
     group
         The group of the entry points.
     built_in
-        Name, module and attribute of the one that comes with this package. It is known without a search through all
+        Name, module and attribute of each that comes with this package. They are known without a search through all
         installed packages, which takes up to 20 ms of a start.
     """
 
-    def __init__(self, kind: type[KindT], what: str, group: str, built_in: tuple[str, str, str]) -> None:
+    def __init__(self, kind: type[KindT], what: str, group: str, *built_in: tuple[str, str, str]) -> None:
         self.group = group
         self._kind = kind
         self._what = what
-        self._built_in = built_in
+        self._built_in = {name: (module, attribute) for name, module, attribute in built_in}
         self._loaded: dict[str, KindT] = {}
 
     def names(self) -> list[str]:
         """Return the names of all that are installed."""
-        return sorted({self._built_in[0], *(point.name for point in self._entry_points())})
+        return sorted({*self._built_in, *(point.name for point in self._entry_points())})
 
     def get(self, name: str) -> KindT:
         """Return the one of a name; only its own module is imported, and once.
@@ -58,8 +58,8 @@ class PlugIns(Generic[KindT]):
         self._loaded.clear()
 
     def _load(self, name: str) -> object:
-        built_in, module, attribute = self._built_in
-        if name == built_in:
+        if name in self._built_in:
+            module, attribute = self._built_in[name]
             return getattr(import_module(module), attribute)
         point = next((point for point in self._entry_points() if point.name == name), None)
         if point is None:

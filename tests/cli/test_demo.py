@@ -70,6 +70,56 @@ def test_moves_settle_with_no_trip(
         assert changeover["effort_step"] <= changeover["ordinary_effort_step"] + 1.01 * QUANTUM
 
 
+def test_moves_go_to_the_set_point_and_back(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys, "--to", "120", "--moves", "3")
+    assert [move["target"] for move in result["moves"]] == [120.0, 0.0, 120.0]
+    for move in result["moves"]:
+        assert abs(move["final_error"]) < 0.05
+        assert move["peak_velocity"] > 99.0
+        assert move["changeover"]["time_s"] > 0.5
+    of_the_first = {name: result[name] for name in result["moves"][0] if name != "target"}
+    assert of_the_first == {name: figure for name, figure in result["moves"][0].items() if name != "target"}
+    alone, first = demo(capsys, "--to", "120"), result["moves"][0]
+    assert alone["settling_time_s"] == first["settling_time_s"]
+    assert alone["overshoot"] == pytest.approx(first["overshoot"], abs=1e-3)
+
+
+def test_a_trip_in_the_second_move_ends_the_demo_with_the_figures_of_both(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["--to", "120", "--moves", "3", "--set", "simulation.load=-40", "--set", "simulation.load_at_s=6"]
+    result = demo(capsys, *arguments, exit_code=3)
+    assert [move["target"] for move in result["moves"]] == [120.0, 0.0]
+    assert abs(result["moves"][0]["final_error"]) < 0.05
+    assert result["trip"] is not None
+    assert "tripped" in result["failure"]
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "1001", "2.5"])
+def test_a_number_of_moves_that_makes_no_sense_is_refused(count: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["demo", "--fast", "--moves", count])
+    assert caught.value.code == 2
+    assert "moves" in capsys.readouterr().err
+
+
+def test_the_adaptive_law_moves_like_a_servo_and_shows_what_it_has_found(capsys: pytest.CaptureFixture[str]) -> None:
+    off = ("--set", "simulation.gain=216", "--set", "simulation.pole=11.2")
+    result = demo(capsys, "--set", "axis.law.type=adaptive", "--moves", "3", *off)
+    assert result["trip"] is None
+    for move in result["moves"]:
+        assert move["settling_time_s"] < 4.12
+        assert move["overshoot"] < 0.05
+        assert move["peak_velocity"] < 112.0
+    law = result["law"]
+    assert (law["type"], law["accepted"]) == ("adaptive", True)
+    identified = law["identified"]
+    assert identified["gain"] == pytest.approx(216.0, rel=0.02)
+    assert identified["pole"] == pytest.approx(11.2, rel=0.02)
+    assert identified["delay_ticks"] == 0
+    assert identified["load"]["forward"] == pytest.approx(0.0, abs=0.1)
+    assert identified["load"]["backward"] == pytest.approx(0.0, abs=0.1)
+    assert demo(capsys)["law"] == {"type": "paper", "identified": None, "accepted": None}
+
+
 @pytest.mark.parametrize("example", ["example1.toml", "example2.toml"])
 def test_the_papers_examples_settle(capsys: pytest.CaptureFixture[str], example: str) -> None:
     result = demo(capsys, "--config", example)

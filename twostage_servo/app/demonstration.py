@@ -3,6 +3,7 @@
 import asyncio
 import hashlib
 import itertools
+import math
 import struct
 from collections.abc import Callable
 from typing import Any, Final, NamedTuple
@@ -15,6 +16,7 @@ from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.loader import Config, LoadedConfig
+from twostage_servo.control.laws.law import LearningLaw
 from twostage_servo.host.settings import RealtimeSettings
 from twostage_servo.telemetry.sample import FIELDS, Sample
 from twostage_servo.timing.ticks import Tick
@@ -60,8 +62,12 @@ def trace_row(tick: TracedTick) -> list[Any]:
     return [values[name] for name in TRACE_FIELDS]
 
 
+_FIGURES: Final = ("final_error", "overshoot", "settling_band", "settling_time_s", "peak_velocity", "changeover")
+"""What is told of a move."""
+
+
 class _Move(NamedTuple):
-    """The move as the demo ran it."""
+    """A move as the demo ran it."""
 
     start_s: float
     start: float
@@ -89,6 +95,7 @@ async def demonstrate(
     velocity: float,
     progress: Callable[[float, TracedTick], None] | None = None,
     realtime: RealtimeSettings | None = None,
+    moves: int = 1,
 ) -> "Demonstration":
     """Run the whole demo on the running loop.
 
@@ -102,6 +109,8 @@ async def demonstrate(
         Called now and then, with the share of the way that lies behind the axis, and the newest sample.
     realtime
         Makes the service punctual on its host; None in simulated time.
+    moves
+        How many, alternately to the target and back.
 
     Raises
     ------
@@ -111,7 +120,7 @@ async def demonstrate(
     bus = BusSettings(interface="virtual", channel="twostage-servo-demo").with_frames_of(loaded.config.bus)
     frames = FrameHash()
     async with closed_loop(loaded, bus=bus, realtime=realtime, observers=(frames.observe,)) as loop:
-        demonstration = Demonstration(loop, loaded.config, frames, target, velocity, progress)
+        demonstration = Demonstration(loop, loaded.config, frames, (target, velocity, moves), progress)
         loop.listen(demonstration.on_tick)
         await demonstration.run()
     loop.serving.result()  # which raises a defect of the service
@@ -136,8 +145,7 @@ class Demonstration:
         loop: ClosedLoop,
         config: Config,
         frames: FrameHash,
-        target: float,
-        velocity: float,
+        asked: tuple[float, float, int],
         progress: Callable[[float, TracedTick], None] | None,
     ) -> None:
         self.samples: list[TracedTick] = []
@@ -146,13 +154,12 @@ class Demonstration:
         self._loop = loop
         self._config = config
         self._frames = frames
-        self._target = target
-        self._velocity = velocity
+        self._target, self._velocity, self._count = asked
         self._progress = progress
         self._axis_loop = loop.axis_loop()
         self._drive = loop.axes[self._axis_loop.name].drive
         self._waiting: tuple[Callable[[], bool], asyncio.Future[bool], float] | None = None
-        self._move: _Move | None = None
+        self._moves: list[_Move] = []
 
     @property
     def traits(self) -> DriveTraits:
@@ -160,7 +167,7 @@ class Demonstration:
         return self._axis_loop.drive.traits
 
     async def run(self) -> None:
-        """Arm, move, and wait until the axis is there; or until the service has ended by itself."""
+        """Arm, and make the moves that were asked for; end early if the service has ended by itself."""
         operating = asyncio.ensure_future(self._operate())
         try:
             await asyncio.wait((operating, self._loop.serving), return_when=asyncio.FIRST_COMPLETED)
@@ -180,15 +187,25 @@ class Demonstration:
         if not await self._until(lambda: axis.state is State.HOLDING or axis.trip is not None, _READY_S) or axis.trip:
             self.failure = "the axis did not arm" + (f": {axis.trip.cause}" if axis.trip else "")
             return
-        move = axis.move_to(self._target, self._velocity)
-        self._move = _Move(self.samples[-1].sample.time_s, self._drive.position, self._target)
-        expected_s = abs(self._target - move.start) / self._velocity + _SETTLING_S
-        if not await self._until(lambda: move.outcome is not MoveOutcome.MOVING, expected_s):
+        home = self._drive.position
+        for number in range(self._count):
+            await self._run_move(home if number % 2 else self._target)
+            if self.failure is not None:
+                return
+
+    async def _run_move(self, target: float) -> None:
+        """Move, and hold for a second."""
+        axis = self._axis_loop.axis
+        asked = axis.move_to(target, self._velocity)
+        move = _Move(self.samples[-1].sample.time_s, self._drive.position, target)
+        self._moves.append(move)
+        expected_s = abs(target - move.start) / self._velocity + _SETTLING_S
+        if not await self._until(lambda: asked.outcome is not MoveOutcome.MOVING, expected_s):
             self.failure = (
                 f"the axis was not within {self._config.axis.window.position:g} {self._config.axis.unit} of "
                 f"the set-point after {expected_s:.1f} s"
             )
-        elif move.outcome is MoveOutcome.REACHED:
+        elif asked.outcome is MoveOutcome.REACHED:
             await self._until(lambda: axis.trip is not None, _HOLD_S)
         if axis.trip is not None:
             self.failure = f"the axis tripped: {axis.trip.cause}"
@@ -213,18 +230,20 @@ class Demonstration:
                 future.set_result(condition())
 
     def _show(self, sample: TracedTick) -> None:
-        if self._progress is None or self._move is None:
+        if self._progress is None or not self._moves:
             return
-        length = self._move.target - self._move.start
-        share = (sample.true_position - self._move.start) / length if length else 1.0
+        move = self._moves[-1]
+        length = move.target - move.start
+        share = (sample.true_position - move.start) / length if length else 1.0
         self._progress(share, sample)
 
     def result(self) -> JsonObject:
         """Return the contract's JSON object."""
         statistics, trip = self._loop.parts.statistics, self._axis_loop.axis.trip
+        scores = [self._score(index) for index in range(len(self._moves))]
         return {
             "target": self._target,
-            **self._score(),
+            **(scores[0] if scores else dict.fromkeys(_FIGURES)),
             "ticks": {
                 "count": statistics.count,
                 "missed": statistics.missed,
@@ -235,16 +254,27 @@ class Demonstration:
             },
             "trip": None if trip is None else {"code": trip.code, "cause": trip.cause, "next_action": trip.next_action},
             "failure": self.failure,
+            "law": self._law(),
+            "moves": [{"target": move.target, **score} for move, score in zip(self._moves, scores, strict=True)],
             "trace_sha256": self._frames.hexdigest(),
         }
 
-    def _score(self) -> JsonObject:
-        if self._move is None:
-            return dict.fromkeys(
-                ("final_error", "overshoot", "settling_band", "settling_time_s", "peak_velocity", "changeover")
-            )
-        start_s, start, target = self._move
-        samples = [s for s in self.samples if s.sample.time_s >= start_s and s.sample.state in _OPERATING]
+    def _law(self) -> JsonObject:
+        """Return which law has moved the axis, and what it has found out of the plant, if it learns."""
+        law = self._axis_loop.axis.law
+        found: JsonObject = {"type": self._config.axis.law.type, "identified": None, "accepted": None}
+        if isinstance(law, LearningLaw) and (learned := law.learned).moves:
+            forward, backward = learned.load
+            load = {"forward": forward, "backward": backward}
+            identified = {"gain": learned.gain, "pole": learned.pole, "delay_ticks": learned.delay_ticks, "load": load}
+            found |= {"identified": identified, "accepted": learned.is_sure}
+        return found
+
+    def _score(self, index: int) -> JsonObject:
+        move = self._moves[index]
+        start_s, start, target = move
+        end_s = self._moves[index + 1].start_s if index + 1 < len(self._moves) else math.inf
+        samples = [s for s in self.samples if start_s <= s.sample.time_s < end_s and s.sample.state in _OPERATING]
         direction = 1.0 if target >= start else -1.0
         window = max(1e-3 * abs(target - start), self._config.axis.window.position)
         outside = [index for index, s in enumerate(samples) if abs(s.true_position - target) > window]
@@ -260,11 +290,10 @@ class Demonstration:
             "settling_band": window,
             "settling_time_s": settling_s if settling_s is None else round(settling_s, 6),
             "peak_velocity": max(abs(s.true_velocity) for s in samples),
-            "changeover": self._changeover(samples),
+            "changeover": self._changeover(move, samples),
         }
 
-    def _changeover(self, samples: list[TracedTick]) -> dict[str, float] | None:
-        assert self._move is not None  # noqa: S101 - the caller has looked
+    def _changeover(self, move: _Move, samples: list[TracedTick]) -> dict[str, float] | None:
         steps = [
             abs(self._sent(now.sample.effort) - self._sent(before.sample.effort))
             for before, now in itertools.pairwise(samples)
@@ -272,8 +301,8 @@ class Demonstration:
         for index, (before, now) in enumerate(itertools.pairwise(samples)):
             if now.changeovers > before.changeovers:
                 return {
-                    "time_s": round(now.sample.time_s - self._move.start_s, 6),
-                    "distance": abs(self._move.target - now.true_position),
+                    "time_s": round(now.sample.time_s - move.start_s, 6),
+                    "distance": abs(move.target - now.true_position),
                     "effort_step": steps[index],
                     "ordinary_effort_step": max(steps[max(0, index - _ORDINARY_TICKS) : index], default=0.0),
                 }

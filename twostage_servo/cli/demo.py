@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
-from twostage_servo.cli.typed_numbers import decimal
+from twostage_servo.cli.typed_numbers import decimal, whole
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,6 +22,8 @@ _PATIENCE = (
     "simulation.command_timeout_ms=250",
 )
 """What the embedded demo allows in real time: a busy desktop may well hold a process up for a tenth of a second."""
+
+_MOST_MOVES = 1000
 
 _CRUISE_S = 4.0
 """How long the demo's move would take at its cruise velocity."""
@@ -39,9 +41,19 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     add_options(demo, required=False)
     demo.add_argument("--to", type=decimal, metavar="POSITION", help="set-point (default: 4 s of cruise away)")
     demo.add_argument("--velocity", type=decimal, help="cruise velocity (default: axis.cruise_velocity)")
+    demo.add_argument(
+        "--moves", type=_moves, default=1, metavar="N", help="so many moves, to the set-point and back (default 1)"
+    )
     demo.add_argument("--fast", action="store_true", help="run in simulated time")
     demo.add_argument("--trace", type=Path, metavar="FILE", help="write every tick to a CSV file")
     demo.set_defaults(run=_demo)
+
+
+def _moves(text: str) -> int:
+    count = whole(text)
+    if not 1 <= count <= _MOST_MOVES:
+        raise argparse.ArgumentTypeError(f"{count} moves: 1 to {_MOST_MOVES} can be made")
+    return count
 
 
 def _demo(options: argparse.Namespace) -> ExitCode:
@@ -67,7 +79,7 @@ def _demo(options: argparse.Namespace) -> ExitCode:
         realtime = None if options.fast else loaded.config.realtime
         loop_factory = VirtualClockLoop if options.fast else real_time_loop
         with asyncio.Runner(loop_factory=loop_factory) as runner, configuration_problems():
-            demo = runner.run(demonstrate(loaded, target, velocity, show, realtime))
+            demo = runner.run(demonstrate(loaded, target, velocity, show, realtime, options.moves))
     finally:
         progress.end()
         writer.close()
@@ -121,6 +133,12 @@ def _summary(result: dict[str, Any], unit: str, *, fast: bool) -> str:
             f"change-over at {changeover['time_s']:.2f} s, {changeover['distance']:.2f} {unit} before the "
             f"set-point; the effort changed by {changeover['effort_step']:.3f} in that tick, "
             f"by up to {changeover['ordinary_effort_step']:.3f} in those before"
+        )
+    for number, move in enumerate(result["moves"][1:], 2):
+        settled = "never" if move["settling_time_s"] is None else f"after {move['settling_time_s']:.2f} s"
+        lines.append(
+            f"move {number}, to {move['target']:g} {unit}: settled {settled}, final error {move['final_error']:+.4f} "
+            f"{unit}, overshoot {move['overshoot']:.3f} {unit}"
         )
     clock = "simulated time" if fast else f"lateness p50 {lateness['p50']:g} µs, p99 {lateness['p99']:g} µs"
     frames = result["frames"]

@@ -171,6 +171,12 @@ class DisturbanceObserver:
         """Go on from another position, in axis unit, at the same velocity and disturbance."""
         self.position = position
 
+    def adopt(self, plant: DiscretePlant, gain: Triple) -> None:
+        """Go on with another model of the plant and another gain, from the same estimate."""
+        self.plant = plant
+        self._a12, self._a22, self._b1, self._b2 = plant.a12, plant.a22, plant.b1, plant.b2
+        self._gain1, self._gain2, self._gain3 = gain
+
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         self.position += distance

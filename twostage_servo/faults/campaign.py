@@ -9,7 +9,6 @@ import numpy as np
 from twostage_servo.app.assembly import design
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
-from twostage_servo.control.laws.registry import PAPER
 from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.frames import compile_profile, protocol_of
@@ -59,9 +58,6 @@ class Campaign:
         self.axis = axis or machine.axes[0].config.axis.name
         self.loaded = machine.axis(self.axis)
         self.seed = seed
-        if self.loaded.config.axis.law.type != PAPER:
-            text = f"the fault campaign has bounds for the law {PAPER!r} alone: set it for the campaign"
-            raise self.loaded.problem(("axis", "law", "type"), text)
         self.design: AxisDesign = design(self.loaded)
         self.profile = compile_profile(self.loaded)
         self._searching = machine.with_axis(self.axis, _with_a_search(self.loaded.config))

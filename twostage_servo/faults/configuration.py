@@ -9,6 +9,7 @@ from pathlib import Path
 from twostage_servo.app.build import build_parts
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import Config, LoadedConfig, load
+from twostage_servo.control.laws.registry import PAPER
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.frames import compile_profile, protocol_of
 from twostage_servo.faults.phase import Phase
@@ -42,12 +43,7 @@ class ConfigurationFaults:
             (47, "a missing key", self._without(_MISSING), _MISSING),
             (47, "a value of the wrong type", self._override("axis.limits.velocity=[1]"), "velocity"),
             (47, _WRONG_UNIT, self._override('axis.unit="furlong"'), "unit"),
-            (
-                48,
-                "unstable gains",
-                self._override(f"axis.law.performance_index_ratio={1e6}"),
-                "performance_index_ratio",
-            ),
+            (48, "unstable gains", self._ratio(1e6), "performance_index_ratio"),
             (48, "fragile gains", self._fragile(loaded), "performance_index_ratio"),
         ):
             if name == _WRONG_UNIT and self.unit_is_free(loaded):
@@ -67,8 +63,12 @@ class ConfigurationFaults:
         profile = compile_profile(loaded)
         return protocol_of(loaded.config).feedback.position_scale != 1.0 or not profile.traits.position_unit
 
-    def _override(self, override: str) -> Callable[[], LoadedConfig[Config]]:
-        return lambda: load(self._path, [*self._overrides, override])
+    def _override(self, *overrides: str) -> Callable[[], LoadedConfig[Config]]:
+        return lambda: load(self._path, [*self._overrides, *overrides])
+
+    def _ratio(self, ratio: float) -> Callable[[], LoadedConfig[Config]]:
+        """Return an attempt with other gains: those of the paper's law, which alone follow from a key."""
+        return self._override(f'axis.law.type="{PAPER}"', f"axis.law.performance_index_ratio={ratio!r}")
 
     def _without(self, key: str) -> Callable[[], LoadedConfig[Config]]:
         def attempt() -> LoadedConfig[Config]:
@@ -91,11 +91,11 @@ class ConfigurationFaults:
         high = 1e6
         for _ in range(_STEPS):
             middle = (low * high) ** 0.5
-            if "unstable" in _refusal(self._override(f"axis.law.performance_index_ratio={middle!r}")):
+            if "unstable" in _refusal(self._ratio(middle)):
                 high = middle
             else:
                 low = middle
-        return self._override(f"axis.law.performance_index_ratio={low!r}")
+        return self._ratio(low)
 
 
 def _refusal(attempt: Callable[[], LoadedConfig[Config]]) -> str:

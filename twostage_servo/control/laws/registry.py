@@ -39,5 +39,11 @@ class LawType:
     design: Callable[[Any, ControlTask], LawDesign]
 
 
-LAWS: Final = PlugIns(LawType, "law", GROUP, (PAPER, "twostage_servo.control.laws.paper_type", "PAPER"))
+LAWS: Final = PlugIns(
+    LawType,
+    "law",
+    GROUP,
+    (PAPER, "twostage_servo.control.laws.paper_type", "PAPER"),
+    ("adaptive", "twostage_servo.control.laws.adaptive.adaptive_type", "ADAPTIVE"),
+)
 """All that are installed."""

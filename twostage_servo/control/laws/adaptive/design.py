@@ -1,0 +1,182 @@
+"""What the adaptive law comes to for a task: its way to brake, how long it takes, and how stable its stages are."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
+from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
+from twostage_servo.control.laws.adaptive.model import Model
+from twostage_servo.control.laws.adaptive.placement import Poles
+from twostage_servo.control.laws.adaptive.reference import Shape
+from twostage_servo.control.laws.adaptive.rules import (
+    NOISY_FROM,
+    NOISY_POLES,
+    QUIET_POLES,
+    LearningRules,
+    Rules,
+    noise_unit,
+)
+from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
+from twostage_servo.control.laws.margins import Control, loop_of, margins_of, poles_of
+from twostage_servo.control.laws.stop import StopDesign, braking_gain
+from twostage_servo.control.observer import DisturbanceObserver, extended_model
+
+REST_SHARE = 0.01
+"""What is left of the end of a stop when it counts as over."""
+
+LEAST_MODULUS_MARGIN = 0.4
+"""Smallest distance of a loop from -1 that is taken; see :data:`.paper_design.LEAST_MODULUS_MARGIN`."""
+
+_SETTLING_TICKS = 3.0
+"""Ticks from the end of the braking reference until the axis is in a window: a delay of one, and the poles."""
+
+
+@dataclass(frozen=True, slots=True)
+class AdaptiveDesign:
+    """What follows for a task; see :class:`~twostage_servo.control.laws.law.LawDesign`.
+
+    Attributes
+    ----------
+    task
+        What it is designed for.
+    noise
+        Of the encoder, as far as it is known, in axis unit.
+    learns
+        Whether plants are identified.
+    settling_time_s
+        How long the slowest pole of a stop takes to die down to a hundredth, in s.
+    """
+
+    task: ControlTask
+    noise: float
+    learns: bool
+    settling_time_s: float = field(compare=False)  # which follows from the others
+    rules: Rules = field(default_factory=Rules)
+    learning_rules: LearningRules = field(default_factory=LearningRules)
+
+    def build(self, observer: DisturbanceObserver) -> AdaptiveLaw:
+        """Return a law within the task's limits."""
+        estimate = ControlEstimate(self.task, self.rules, self.learning_rules, self.noise, learns=self.learns)
+        return AdaptiveLaw(observer, estimate, self.task, self.rules)
+
+    @property
+    def deceleration(self) -> float:
+        """With which the braking reference slows down without a load, in axis unit/s²."""
+        task = self.task
+        return min(self.rules.braking_share * abs(task.plant.gain) * task.effort_limit, task.acceleration_limit)
+
+    @property
+    def changeover_time_s(self) -> float:
+        """The largest braking way for each axis unit/s, that of the velocity limit, in s."""
+        velocity = self.task.velocity_limit
+        return self._braking_way(velocity) / velocity
+
+    def _braking_way(self, velocity: float) -> float:
+        """Return how far before the set-point the change-over is, in axis unit, in a cruise."""
+        task, deceleration = self.task, self.deceleration
+        ways = self._model(self._poles).ways
+        gain, step = abs(task.plant.gain), task.effort_rate_limit * task.period_s
+        shape = Shape.at(velocity, velocity, velocity, deceleration, gain, step, ways)
+        return velocity * velocity / (2.0 * deceleration) + 0.5 * velocity * task.period_s + shape.way
+
+    def move_duration_s(self, distance: float, velocity: float, window: float) -> float:
+        """Return how long a move takes, in s: ramp, cruise and braking of the reference, and the rest."""
+        task, braking = self.task, self.deceleration
+        rising = min(task.acceleration_limit, abs(task.plant.gain) * task.effort_limit)
+        least = max(distance - window, 0.0)
+        top = min(velocity, math.sqrt(2.0 * least * rising * braking / (rising + braking)))
+        cruise = 0.0 if top <= 0.0 else least / top - 0.5 * top / rising - 0.5 * top / braking
+        averaged = self._braking_way(top) - top * top / (2.0 * braking)
+        rest_s = 0.0 if top <= 0.0 else averaged / top
+        return top / rising + cruise + top / braking + rest_s + _SETTLING_TICKS * task.period_s
+
+    def stopping_distance(self, velocity: float, deceleration: float) -> float:
+        """Return how far the plant of the model goes in a stop, in axis unit."""
+        return StopDesign(self.task).distance(velocity, deceleration)
+
+    def certain_stopping_distance(self, velocity: float, deceleration: float) -> float:
+        """Return how far an axis goes at most whose plant is off its model, in axis unit."""
+        return StopDesign(self.task).certain_distance(velocity, deceleration)
+
+    def stopping_time_s(self, velocity: float, deceleration: float) -> float:
+        """Return how long a stop takes, in s: the ramp, the effort rate, and until the rest has died down."""
+        return StopDesign(self.task).ramp_time_s(velocity, deceleration) + self.settling_time_s
+
+    def gains(self) -> Mapping[str, float]:
+        """Return those of the position stage on a plant that is known, and of its observer."""
+        model = self._model(self._poles)
+        f1, f2 = model.feedback
+        l1, l2, l3 = model.observer_gain
+        return {"f1": f1, "f2": f2, "l1": l1, "l2": l2, "l3": l3}
+
+    def origin(self) -> str:
+        """Return which poles the gains follow from."""
+        return "poles for a noisy encoder" if self._poles is NOISY_POLES else "poles for a quiet encoder"
+
+    def loops(self) -> Mapping[str, Loop]:
+        """Return how stable the stages are: on a known plant, before one is known, and in a stop."""
+        poles = self._poles
+        loops = {}
+        for name, model in (("", self._model(poles)), ("unknown_", self._model(poles.slower(self.rules.unknown)))):
+            for stage in (Stage.SPEED, Stage.POSITION):
+                control = self._control(model, stage)
+                follows = "position" if stage is Stage.POSITION else "velocity"
+                shown = control.in_numbers((0.0, 0.0, 0.0), follows)
+                loops[name + stage.name.lower()] = loop_of(control, self.task.sampled, shown)
+        brake = self._control(self._model(poles), Stage.BRAKE)
+        loops["brake"] = loop_of(brake, self.task.sampled, brake.in_numbers())
+        return loops
+
+    @property
+    def _poles(self) -> Poles:
+        return NOISY_POLES if self.noise > NOISY_FROM * noise_unit(self.task) else QUIET_POLES
+
+    def _model(self, poles: Poles) -> Model:
+        return Model(self.task.plant, is_late=False, poles=poles, period_s=self.task.period_s)
+
+    def _control(self, model: Model, stage: Stage) -> Control:
+        return stage_control(self.task, model, stage)
+
+
+def stage_control(task: ControlTask, model: Model, stage: Stage) -> Control:
+    """Return a stage's controller: ``u = -f1 x1 - f2 x2 - x3`` of an observer's estimate.
+
+    A stop has the axis' own observer, and a feedback of its own.
+    """
+    import numpy as np  # noqa: PLC0415 - see servo_gains
+
+    f1, f2 = model.feedback
+    gain, memory = model.observer_gain, 1.0
+    if stage is Stage.BRAKE:
+        f1, f2 = 0.0, braking_gain(task.sampled)
+        gain, memory = task.kalman.predictor, task.noise.disturbance_memory
+    elif stage is Stage.SPEED:
+        f1 = 0.0
+    state, effort, output = extended_model(task.sampled, memory)
+    predictor = np.array(gain).reshape(3, 1)
+    feedback = np.array([[f1, f2, 1.0]])
+    closed = state - predictor @ output - effort @ feedback
+    return Control(closed, predictor, -feedback, feeds_position=stage is Stage.POSITION)
+
+
+def design_adaptive(task: ControlTask, noise: float, *, learns: bool) -> AdaptiveDesign:
+    """See that each stage is stable on the configured plant.
+
+    Raises
+    ------
+    DesignError
+        If a loop would be unstable or fragile.
+    """
+    design = AdaptiveDesign(task, noise, learns, 0.0)
+    model = design._model(design._poles)  # noqa: SLF001 - of the same module
+    settling_time_s = 0.0
+    for stage in Stage:
+        control = stage_control(task, model, stage)
+        radius = max(abs(pole) for pole in poles_of(control, task.sampled))
+        if not radius < 1.0 or margins_of(control, task.sampled, 2_000).modulus_margin < LEAST_MODULUS_MARGIN:
+            name = stage.name.lower()
+            raise DesignError(("encoder_noise",), f"the {name} stage would be fragile with this plant and tick")
+        if stage is Stage.BRAKE:
+            settling_time_s = task.period_s * math.log(REST_SHARE) / math.log(max(radius, 1e-9))
+    return AdaptiveDesign(task, noise, learns, settling_time_s)

@@ -1,0 +1,290 @@
+"""The estimate that the adaptive law controls by: its own observer, the plant that it believes in, and what it learns.
+
+The axis' observer stays as it is configured, and with it everything that watches the axis: what has been identified
+while an encoder may lie must not decide whether it does. This one is quicker, and goes on with each model that is
+found. Between the two, what is kept is the acceleration that is predicted: a disturbance means something else of
+another plant.
+"""
+
+from collections import deque
+from math import sqrt
+from typing import Final
+
+from twostage_servo.control.laws.adaptive.learning import Learning
+from twostage_servo.control.laws.adaptive.model import Model
+from twostage_servo.control.laws.adaptive.rules import (
+    FINEST_SPREAD,
+    NOISY_FROM,
+    NOISY_POLES,
+    QUIET_POLES,
+    SPREAD_SHARE,
+    LearningRules,
+    Rules,
+    noise_unit,
+)
+from twostage_servo.control.laws.law import ControlTask, Learned
+from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
+from twostage_servo.control.plant import Plant
+
+_NOISE_MEMORY: Final = 0.02
+"""Share of a sample in the noise that is measured at rest: some 50 samples."""
+
+_FEWEST_AT_REST: Final = 20
+"""Samples at rest before what they show is believed."""
+
+_LARGEST_SPREAD: Final = 30.0
+"""Largest spread of a sample that identification supposes, as a multiple of the least: more is no encoder's noise."""
+
+
+class ControlEstimate:
+    """Position, velocity and disturbance of the plant that is believed in, where the next effort begins to act.
+
+    Parameters
+    ----------
+    task
+        What the law is designed for.
+    rules, learning_rules
+        By what it goes.
+    noise
+        Standard deviation of the encoder in axis unit, as far as it is known; more is measured at rest.
+    learns
+        Whether plants are identified.
+
+    Attributes
+    ----------
+    model
+        The plant that is believed in at present, and its gains.
+    learning
+        What has been found out of it.
+    position, velocity, disturbance
+        In axis unit, axis unit/s and effort unit.
+    """
+
+    __slots__ = (
+        "_direction", "_efforts", "_expected_load", "_learns", "_noise", "_noise_square", "_observer",
+        "_origin", "_rest", "_rules", "_samples_at_rest", "_task", "_unit", "disturbance", "learning", "model",
+        "position", "velocity",
+    )  # fmt: skip
+
+    def __init__(
+        self, task: ControlTask, rules: Rules, learning_rules: LearningRules, noise: float, *, learns: bool
+    ) -> None:
+        self._task = task
+        self._rules = rules
+        self._learns = learns
+        self._unit = noise_unit(task)
+        self._noise = noise
+        self._noise_square = 0.0
+        self._rest: deque[float] = deque(maxlen=3)
+        self._samples_at_rest = 0
+        self._observer = DisturbanceObserver(task.sampled, NO_CORRECTION)
+        self.learning = Learning(task.plant, learning_rules, task.period_s, task.effort_limit)
+        self._efforts = 0.0, 0.0, 0.0
+        self._direction, self._origin = 1.0, 0.0
+        self._expected_load: float | None = None  # of a move that begins
+        self.position = self.velocity = self.disturbance = 0.0
+        self._adopt(self.learning.believed)
+
+    # What is told -----------------------------------------------------------------------------------------------------
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a sample, in axis unit: as configured, or as measured at rest where that is more."""
+        return max(self._noise, sqrt(self._noise_square) if self._samples_at_rest >= _FEWEST_AT_REST else 0.0)
+
+    @property
+    def spread(self) -> float:
+        """Spread of a sample, in axis unit: its noise, within what an encoder may have."""
+        least = FINEST_SPREAD * self._unit
+        return min(max(self.noise, least), _LARGEST_SPREAD * least)
+
+    @property
+    def is_identifying(self) -> bool:
+        """Whether a move is being looked at."""
+        return self.learning.active
+
+    @property
+    def learned(self) -> Learned:
+        """What is known of the plant by now."""
+        learning, believed = self.learning, self.learning.believed
+        return Learned(
+            gain=believed.gain,
+            pole=believed.pole,
+            delay_ticks=int(learning.is_late),
+            load=(learning.loads.get(1.0), learning.loads.get(-1.0)),
+            moves=learning.moves,
+            is_sure=learning.is_known,
+        )
+
+    # What it is given -------------------------------------------------------------------------------------------------
+
+    def start(self, axis: DisturbanceObserver, effort: float) -> None:
+        """Go on from the estimate of the axis' observer, as if an effort (effort unit) had acted so far."""
+        self._efforts = effort, effort, effort
+        self.take(axis)
+        self._rest.clear()
+
+    def continue_from(self, other: "ControlEstimate", axis: DisturbanceObserver) -> None:
+        """Go on where another one stands, with the axis' estimate and what is believed here."""
+        self._efforts = other.efforts
+        self.take(axis)
+
+    def take(self, axis: DisturbanceObserver) -> None:
+        """Take over the axis' estimate; the acceleration that it predicts stays."""
+        self.give_up()
+        configured, effort = self._task.plant, self._efforts[0]
+        acceleration = configured.gain * (effort + axis.disturbance) - configured.pole * axis.velocity
+        self._observer.go_on_from(axis.position, axis.velocity, 0.0)
+        self._keep_acceleration(acceleration)
+        self._tell()
+
+    @property
+    def efforts(self) -> tuple[float, float, float]:
+        """The last three efforts, the latest first, in effort unit."""
+        return self._efforts
+
+    def update(self, sample: float | None, effort: float) -> None:
+        """Take the sample of the last effort's instant (axis unit), None if there is none, and that effort.
+
+        What is told then holds where the next effort begins to act.
+        """
+        observer = self._observer
+        last, before, _ = self._efforts
+        self._efforts = effort, last, before
+        observer.update(observer.position if sample is None else sample, last if self.model.is_late else effort)
+        if self._expected_load is not None:
+            self._begin() if sample is not None else self.give_up()
+        if self.learning.active:
+            self._learn(sample)
+        self._tell()
+
+    def skip(self, effort: float) -> None:
+        """Account for a tick that was missed, in which an effort (effort unit) acted on."""
+        self.give_up()
+        last, before, _ = self._efforts
+        self._efforts = effort, last, before
+        self._observer.predict(self._acted)
+        self._tell()
+
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower."""
+        self._observer.shift(distance)
+        self._origin += distance
+        self.position += distance
+        self._rest.clear()
+
+    def rest(self, sample: float | None) -> None:
+        """Take a sample (axis unit) of an axis that holds: what moves it is noise, seen in its second differences."""
+        rest = self._rest
+        if sample is None:
+            rest.clear()
+            return
+        rest.append(sample)
+        if len(rest) == rest.maxlen:
+            second = rest[2] - 2.0 * rest[1] + rest[0]
+            self._noise_square += _NOISE_MEMORY * (second * second / 6.0 - self._noise_square)
+            self._samples_at_rest += 1
+
+    # What is learned --------------------------------------------------------------------------------------------------
+
+    def begin_move(self, direction: float) -> None:
+        """Begin to look at a move from rest, in a direction (1 or -1).
+
+        What acted against the last move in this direction, friction included, is expected again.
+        """
+        learning, observer = self.learning, self._observer
+        self._direction, self._origin = direction, observer.position
+        if not self._learns:
+            return
+        self._adopt(learning.believed)  # with the poles that the noise asks for
+        load = learning.loads.get(direction)
+        if load is None:
+            load = -direction * observer.disturbance
+        else:
+            observer.correct(observer.velocity, -direction * load)
+        self._expected_load = load
+        self._tell()
+
+    def _begin(self) -> None:
+        """Begin to identify with the first sample of the move: a model that runs by itself gets none."""
+        load, self._expected_load = self._expected_load, None
+        assert load is not None  # noqa: S101 - the caller has seen it
+        self.learning.begin(self._direction, load, SPREAD_SHARE * self.spread)
+
+    def finish(self) -> None:
+        """End to look, and go on with what is believed."""
+        if self.learning.finish():
+            self._adopt(self.learning.believed)
+        else:
+            self._return_to_believed()
+        self._tell()
+
+    def give_up(self) -> None:
+        """End to look, because something else happens; go on with the model of this move only if it is known well."""
+        self._expected_load = None
+        if not self.learning.active:
+            return
+        if self.learning.give_up():
+            self._adopt(self.model.plant)
+        else:
+            self._return_to_believed()
+
+    def forget(self) -> None:
+        """Believe what is configured, and nothing else."""
+        self.learning.forget()
+        self._return_to_believed()
+        self._tell()
+
+    def _learn(self, sample: float | None) -> None:
+        learning, direction = self.learning, self._direction
+        way = None if sample is None else direction * (sample - self._origin)
+        _, before, before_that = self._efforts
+        found = learning.update(way, direction * before, direction * before_that)
+        if learning.contradicted:
+            self.give_up()
+        elif found is not None:
+            self._adopt(found.plant)
+            plant, net = self.model.sampled, direction * self._acted - found.load
+            self._observer.go_on_from(
+                self._origin + direction * (found.position + plant.a12 * found.velocity + plant.b1 * net),
+                direction * (plant.a22 * found.velocity + plant.b2 * net),
+                -direction * found.load,
+            )
+
+    @property
+    def _acted(self) -> float:
+        """The effort that has acted in the last tick, as far as is believed."""
+        last, before, _ = self._efforts
+        return before if self.model.is_late else last
+
+    def _return_to_believed(self) -> None:
+        observer, plant = self._observer, self.model.plant
+        acceleration = plant.gain * (self._acted + observer.disturbance) - plant.pole * observer.velocity
+        self._adopt(self.learning.believed)
+        self._keep_acceleration(acceleration)
+
+    def _keep_acceleration(self, acceleration: float) -> None:
+        """Suppose the disturbance with which the plant that is believed in has an acceleration, in axis unit/s²."""
+        observer, plant = self._observer, self.model.plant
+        disturbance = (acceleration + plant.pole * observer.velocity) / plant.gain - self._acted
+        observer.correct(observer.velocity, disturbance)
+
+    def _adopt(self, plant: Plant) -> None:
+        """Go on with a plant, by poles that go with what is known of it."""
+        learning, rules = self.learning, self._rules
+        poles = NOISY_POLES if self.noise > NOISY_FROM * self._unit else QUIET_POLES
+        if not learning.is_known:
+            poles = poles.slower(rules.unknown)
+        elif learning.is_late:
+            poles = poles.slower(rules.late)
+        self.model = Model(plant, learning.is_late, poles, self._task.period_s)
+        self._observer.adopt(self.model.sampled, self.model.observer_gain)
+
+    def _tell(self) -> None:
+        """Tell the estimate; where an effort acts a tick later, for the instant at which the next one will."""
+        observer = self._observer
+        self.position, self.velocity, self.disturbance = observer.position, observer.velocity, observer.disturbance
+        if self.model.is_late:
+            plant, total = self.model.sampled, self._efforts[0] + observer.disturbance
+            self.position += plant.a12 * self.velocity + plant.b1 * total
+            self.velocity = plant.a22 * self.velocity + plant.b2 * total

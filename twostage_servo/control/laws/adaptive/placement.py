@@ -1,0 +1,84 @@
+"""Gains from closed-loop poles, in closed form: a model that has just been identified is taken on within its tick.
+
+The Riccati equation (28) gives the same gains for some noise intensities. Poles are
+given in z, so they mean the same share of a tick on every tick.
+"""
+
+from math import atan2, cos, hypot, sin, sqrt
+from typing import NamedTuple
+
+from twostage_servo.control.plant import DiscretePlant, Triple
+
+_LEAST_POLE = 0.02
+"""A pole nearer to 0 than this is as good as there: its power would be, whatever the exponent."""
+
+
+class Pair(NamedTuple):
+    """Two poles, ``real ± j sqrt(square)``; real ones where the square is negative.
+
+    Attributes
+    ----------
+    real, square
+        In z, and in z².
+    """
+
+    real: float
+    square: float
+
+    def slower(self, exponent: float) -> "Pair":
+        """Return the poles to a power: below 1, what they let die down takes ``1/exponent`` times as long."""
+        if self.square >= 0.0:
+            imaginary = sqrt(self.square)
+            radius, angle = hypot(self.real, imaginary) ** exponent, atan2(imaginary, self.real) * exponent
+            return Pair(radius * cos(angle), (radius * sin(angle)) ** 2)
+        half = sqrt(-self.square)
+        larger = max(self.real + half, _LEAST_POLE) ** exponent
+        smaller = max(self.real - half, _LEAST_POLE) ** exponent
+        return Pair(0.5 * (larger + smaller), -0.25 * (larger - smaller) ** 2)
+
+    def at(self, z: float) -> float:
+        """Return the value of the pair's monic polynomial, ``(z - real)² + square``."""
+        return (z - self.real) ** 2 + self.square
+
+
+class Poles(NamedTuple):
+    """Where the poles of the closed loop are to be.
+
+    Attributes
+    ----------
+    single, observer
+        Of the observer's error: a real one, and two.
+    feedback
+        Of the position stage.
+    """
+
+    single: float
+    observer: Pair
+    feedback: Pair
+
+    def slower(self, exponent: float) -> "Poles":
+        """Return all of them to a power; see :meth:`Pair.slower`."""
+        return Poles(
+            max(self.single, _LEAST_POLE) ** exponent, self.observer.slower(exponent), self.feedback.slower(exponent)
+        )
+
+
+def observer_gain(plant: DiscretePlant, single: float, pair: Pair) -> Triple:
+    """Return the predictor gain of :class:`~twostage_servo.control.observer.DisturbanceObserver` for three poles.
+
+    For ``A_o`` of equation (25) with a disturbance that persists, ``det(zI - A_o + L C)`` is
+    ``(z - 1)(z - a22)(z - 1 + L1) + a12 L2 (z - 1) + (b1 (z - a22) + a12 b2) L3``; at z = 1 only L3 is left, since
+    ``b1 (1 - a22) + a12 b2 = b2 T``, at z = a22 only L2 beside it, and the coefficient of z² holds L1.
+    """
+    a12, a22, b2 = plant.a12, plant.a22, plant.b2
+    l3 = (1.0 - single) * pair.at(1.0) / (b2 * plant.period_s)
+    l2 = (a12 * b2 * l3 - (a22 - single) * pair.at(a22)) / (a12 * (1.0 - a22))
+    l1 = 2.0 + a22 - single - 2.0 * pair.real
+    return l1, l2, l3
+
+
+def feedback_gains(plant: DiscretePlant, pair: Pair) -> tuple[float, float]:
+    """Return f1 and f2 of ``u = -f1 x1 - f2 x2``, in effort unit per axis unit and per axis unit/s, for two poles."""
+    f1 = pair.at(1.0) / (plant.b2 * plant.period_s)
+    f2 = (1.0 + plant.a22 - plant.b1 * f1 - 2.0 * pair.real) / plant.b2
+    return f1, f2

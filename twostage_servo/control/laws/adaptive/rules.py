@@ -1,0 +1,101 @@
+"""By what the adaptive law goes beside the plant: poles in z, times in ticks, shares; found by optimisation.
+
+Nothing here has the unit of an axis: what a pole, a share or a number of ticks is worth follows from the plant, the
+tick and the limits of the effort. So the same axis in millimetres, degrees or counts makes the same move.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+from twostage_servo.control.laws.adaptive.placement import Pair, Poles
+from twostage_servo.control.laws.law import ControlTask
+
+QUIET_POLES: Final = Poles(0.0512, Pair(0.9137, 0.0289), Pair(0.1033, 0.0946))
+"""Of a loop with an encoder whose noise does not matter: peak sensitivity 2.0, delay margin 2 ticks."""
+
+NOISY_POLES: Final = Poles(0.839, Pair(0.802, 0.0269), Pair(0.345, 0.0433))
+"""The same with an encoder whose noise does."""
+
+NOISY_FROM: Final = 0.04
+"""Noise from which the second ones are taken, in :func:`noise_unit`: 0.007 mm on the axis of the demo."""
+
+FINEST_SPREAD: Final = 0.0185
+"""Spread of a sample that is assumed at least, in :func:`noise_unit`: a third of an encoder step of 0.01 mm there."""
+
+SPREAD_SHARE: Final = 1.874
+"""How many times the noise a sample is taken to be off: a plant differs from its equation as well."""
+
+
+def noise_unit(task: ControlTask) -> float:
+    """Return what noise is measured by, in axis unit: how far the effort's change of one tick moves the axis in one."""
+    step = min(task.effort_rate_limit * task.period_s, task.effort_limit)
+    return abs(task.plant.gain) * step * task.period_s * task.period_s
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """How the law shapes a move.
+
+    Attributes
+    ----------
+    braking_share
+        Share of what the effort limit could brake with that the reference asks for; the rest is the feedback's.
+    first_acceleration, first_braking
+        Ticks that a first move on an unknown plant takes at least for each: time to identify, and to correct.
+    unknown, late
+        Exponents of the poles while the plant is not known, and where an effort acts a tick later.
+    pull_share
+        Share of the effort's change in a tick that a large error of the position may ask for; what makes no quick loop
+        ask for more than the effort's rate gives.
+    identification_ticks, longest_identification_ticks
+        Ticks of cruise after which identification ends: where the gain is known, and in any case.
+    """
+
+    braking_share: float = 0.66
+    first_acceleration: float = 5.037
+    first_braking: float = 7.188
+    unknown: float = 0.4
+    late: float = 0.75
+    pull_share: float = 0.5
+    identification_ticks: int = 29
+    longest_identification_ticks: int = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class LearningRules:
+    """When a fit is believed.
+
+    Attributes
+    ----------
+    prior_share
+        Standard deviation of gain and pole before anything is known, as a share.
+    prior_load, known_load
+        Standard deviation of the load in a direction before and after one has been identified, as shares of the effort
+        limit.
+    delay_evidence
+        By how much the late fit has to be likelier on a first move.
+    delay_gap
+        Difference of the evidence from which it is known which delay is right.
+    surprise
+        Squared innovation, in its own variances, that neither fit may show twice in a row.
+    misfit
+        Mean of these up to which a fit is believed.
+    sure_share
+        Spread of the gain up to which the plant is known.
+    known_share
+        The same of gain and pole from which a cruise has nothing more to show.
+    early_share, early_ticks
+        The same for a fit that ends before its time, and the ticks that it needs.
+    """
+
+    prior_share: float = 0.17
+    prior_load: float = 0.0463
+    known_load: float = 0.012
+    delay_evidence: float = 2.701
+    delay_gap: float = 3.0
+    surprise: float = 40.0
+    misfit: float = 4.0
+    sure_share: float = 0.08
+    known_share: float = 0.005
+    early_share: float = 0.06
+    early_ticks: int = 10
