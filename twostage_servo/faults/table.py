@@ -267,8 +267,11 @@ def _tells_faults(_: DriveProfile, protocol: ProtocolSettings) -> bool:
     return protocol.feedback.fault is not False or protocol.feedback.fault_code is not False
 
 
+_HALF = 0.5
+"""Gain that takes more evidence than any smaller one, since a plant that speeds up may look like it."""
+
 _LEAST_GAIN = math.sqrt(
-    min(plant.gain for plant in ACCEPTED) * min(one.factor for one in OTHER_GAINS if one.factor > 0.0)
+    min(plant.gain for plant in ACCEPTED) * max(one.factor for one in OTHER_GAINS if 0.0 < one.factor < _HALF)
 )
 """Share of its gain below which a plant is another one, which the model test tells: it is nearer to the hypothesis of
 too small a gain (0.45) than to the weakest plant that is accepted (0.7)."""
