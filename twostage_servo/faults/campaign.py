@@ -9,12 +9,14 @@ import numpy as np
 from twostage_servo.app.assembly import design
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
+from twostage_servo.control.laws.registry import PAPER
 from twostage_servo.faults.budget import Budget, Reference
 from twostage_servo.faults.cell import Cell, NotApplicable
 from twostage_servo.faults.frames import compile_profile, protocol_of
 from twostage_servo.faults.limits import Motion
 from twostage_servo.faults.phase import SEARCHING, Phase
 from twostage_servo.faults.script import Outcome, Script
+from twostage_servo.faults.servo_gains import servo_gains_of
 from twostage_servo.faults.table import (
     DISABLED,
     HELD,
@@ -59,6 +61,13 @@ class Campaign:
         self.loaded = machine.axis(self.axis)
         self.seed = seed
         self.design: AxisDesign = design(self.loaded)
+        try:
+            servo_gains_of(self.design)
+        except ValueError as error:
+            text = (
+                f"the campaign's bounds are those of the law {PAPER!r}, which cannot be designed for this axis: {error}"
+            )
+            raise self.loaded.problem(("axis", "law", "type"), text) from error
         self.profile = compile_profile(self.loaded)
         self._searching = machine.with_axis(self.axis, _with_a_search(self.loaded.config))
         self._references: dict[tuple[Phase, bool, bool], Outcome] = {}
