@@ -46,9 +46,10 @@ def test_before_a_plant_is_known_the_margins_are_wide() -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.floats(0.2, 1500.0), st.floats(5.0, 250.0))
-def test_a_move_takes_as_long_as_is_computed(distance: float, velocity: float) -> None:
+@given(st.floats(0.05, 4.0), st.floats(5.0, 250.0))
+def test_a_move_takes_as_long_as_is_computed(time_s: float, velocity: float) -> None:
     """Within 60 ms, once the plant is known."""
+    distance = time_s * velocity
     made = task()
     rig = Rig(made).ticks(30)
     rig.move(200.0, 100.0, 300).move(0.0, 100.0, 300)
