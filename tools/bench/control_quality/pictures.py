@@ -6,7 +6,9 @@ from typing import Any, Final
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from tools.bench.control_quality import contestants
 from tools.bench.control_quality.suite import BAND, HELD_S, PERIOD_S, Rig, nominal
@@ -42,6 +44,7 @@ def draw_excess(result: Mapping[str, Any]) -> Figure:
         panel.set_yticks(range(len(ordered)), ordered)
         panel.set_xscale("log")
         panel.set_xlim(_LEAST_EXCESS_MS, 2000.0)
+        _label(panel.xaxis, (10.0, 30.0, 100.0, 300.0, 1000.0))
         panel.set_title(f"encoder noise {noise} mm", fontsize=10, loc="left")
         panel.set_xlabel("settling beyond the time-optimal bound (ms)")
         panel.grid(axis="x", alpha=0.3, which="both")
@@ -114,8 +117,16 @@ def draw_margins(result: Mapping[str, Any]) -> Figure:
     panel.set_xlabel("peak after a load step of 1 V (mm)")
     panel.set_ylabel("settling beyond the bound, p95 of first moves (ms)")
     panel.margins(0.1)
+    _label(panel.xaxis, (0.1, 0.2, 0.5, 1.0, 2.0))
+    _label(panel.yaxis, (30.0, 100.0, 300.0, 1000.0))
     panel.grid(alpha=0.3, which="both")
     return figure
+
+
+def _label(axis: Axis, ticks: Sequence[float]) -> None:
+    """Label a logarithmic axis with plain numbers."""
+    axis.set_ticks(ticks, [f"{tick:g}" for tick in ticks])
+    axis.set_minor_formatter(NullFormatter())
 
 
 def _is_ours(name: str) -> bool:

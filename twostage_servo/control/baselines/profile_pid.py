@@ -15,13 +15,13 @@ from twostage_servo.control.laws.law import Controller, ControlTask
 
 _PARAMETERS: Final = {
     "frequency": Parameter(
-        2.0, 9.0, 80.0, "ω: the gains for three poles there are the measure of the next three, rad/s"
+        5.0, 9.0, 80.0, "ω: the gains for three poles there are the measure of the next three, rad/s"
     ),
     "proportional": Parameter(0.2, 1.0, 5.0, "Kp beside 3 ω²/b"),
     "integral": Parameter(0.05, 1.0, 5.0, "Ki beside ω³/b"),
     "derivative": Parameter(0.2, 1.0, 5.0, "Kd beside 3 ω/b"),
     "filter_s": Parameter(0.001, 0.01, 0.1, "time constant of the derivative's filter, s"),
-    "feed_forward": Parameter(0.1, 1.0, 1.5, "share of the feed-forward that the model needs"),
+    "feed_forward": Parameter(0.8, 1.0, 1.2, "share of the feed-forward that the model needs"),
 }
 
 
