@@ -1,6 +1,6 @@
 """How well the project's laws and the baselines move axes that are off their model.
 
-``python -m tools.bench.control_quality [--quick] [--json]`` runs the suite on 1000 plants a noise level, 100 with
+``python -m tools.bench.control_quality [--quick] [--json]`` runs the suite on 1000 plants a noise level, 50 with
 ``--quick``. Progress goes to stderr, and the result to stdout: tables, or one JSON object. The baselines run with the
 values that ``python -m tools.bench.control_quality.tuning`` has found. ``--docs`` writes the tables and pictures of the
 docs as well, with further scenarios.
@@ -25,7 +25,7 @@ from tools.bench.control_quality.measure import (
 )
 
 _PLANTS: Final = 1000
-_QUICK_PLANTS: Final = 100
+_QUICK_PLANTS: Final = 50
 _FURTHER_SHARE: Final = 4
 """Of the plants, one in so many for each further scenario."""
 _FRAMES_SAMPLE: Final = 100

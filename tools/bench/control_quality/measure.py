@@ -28,7 +28,7 @@ from tools.bench.control_quality.suite import (
 FIRST_SEED: Final = 1_000_000
 """Of the suite; the optimiser has other ones."""
 MOVES: Final = 3
-_AT_ONCE: Final = 50
+_AT_ONCE: Final = 25
 """Cases a job: some seconds at most."""
 _NOMINAL_WATCHED_S: Final = 10.0
 ORDINALS: Final = {"first": 0, "third": 2}
