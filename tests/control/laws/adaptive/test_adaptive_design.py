@@ -7,8 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.control.laws.adaptive.test_adaptive_law import PERIOD_S, Rig, design, task
-from twostage_servo.control.laws.law import Controller, Loop
+from twostage_servo.control.laws.adaptive.design import design_adaptive
+from twostage_servo.control.laws.law import Controller, ControlTask, DesignError, Loop
 from twostage_servo.control.laws.registry import LAWS
+from twostage_servo.control.observer import NoiseModel, kalman_gain
+from twostage_servo.control.plant import Plant
 
 
 def systems(loop: Loop) -> tuple[control.StateSpace, control.StateSpace]:
@@ -74,3 +77,42 @@ def test_it_is_installed_under_its_name() -> None:
     made = law.design(law.settings(), task())
     assert made == design(task())
     assert set(made.gains()) == {"f1", "f2", "l1", "l2", "l3"}
+
+
+def refusal(pole: float, period_s: float, noise: float) -> DesignError:
+    """Return why there is no design for a pole and a tick, with the variances that an observer has by default."""
+    plant, assumed = Plant(180.0, pole), NoiseModel()
+    sampled = plant.discretise(period_s)
+    kalman = kalman_gain(sampled, assumed)
+    made = ControlTask(plant, sampled, period_s, assumed, kalman, 250.0, 2000.0, 24.0, 1000.0, 2.5)
+    with pytest.raises(DesignError) as caught:
+        design_adaptive(made, noise, learns=True)
+    return caught.value
+
+
+def test_a_fragile_stop_is_refused_with_its_numbers_and_what_to_change() -> None:
+    refused = refusal(0.5, 0.1, 0.0)
+    assert refused.key == ()
+    assert str(refused) == (
+        "the brake stage would be fragile: its modulus margin is 0.397, and at least 0.4 is needed, with "
+        "axis.plant.pole = 0.5 and service.tick_ms = 100; choose a shorter tick, or other observer variances "
+        "(axis.observer)"
+    )
+
+
+def test_the_encoder_is_to_blame_only_where_its_noise_has_chosen_the_poles() -> None:
+    """A plant so quick that it settles within a tick."""
+    refused = refusal(1000.0, 0.1, 0.0)
+    assert refused.key == ()
+    assert str(refused).startswith("the speed stage would be fragile: its modulus margin is 0.2")
+    assert str(refused).endswith("choose a shorter tick, or correct axis.plant.pole if the plant is slower")
+    refused = refusal(1000.0, 0.01, 9.0)
+    assert refused.key == ("encoder_noise",)
+    assert "; up to 0.0072, if the encoder is that quiet, encoder_noise selects other poles" in str(refused)
+
+
+def test_an_unstable_stage_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which no plant reaches: the poles are placed."""
+    monkeypatch.setattr("twostage_servo.control.laws.adaptive.design.poles_of", lambda *_: [0.5, 1.5j])
+    with pytest.raises(DesignError, match=r"the speed stage would be unstable: .* a pole of magnitude 1\.5000, with"):
+        design_adaptive(task(), 0.0, learns=True)

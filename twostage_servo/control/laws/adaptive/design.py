@@ -12,9 +12,9 @@ from twostage_servo.control.laws.adaptive.reference import Shape
 from twostage_servo.control.laws.adaptive.rules import (
     NOISY_FROM,
     NOISY_POLES,
-    QUIET_POLES,
     LearningRules,
     Rules,
+    encoder_poles,
     noise_unit,
 )
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
@@ -41,11 +41,13 @@ class AdaptiveDesign:
     task
         What it is designed for.
     noise
-        Of the encoder, as far as it is known, in axis unit.
+        Standard deviation of a measured position, as far as it is known, in axis unit.
     learns
         Whether plants are identified.
     settling_time_s
         How long the slowest pole of a stop takes to die down to a hundredth, in s.
+    rules, learning_rules
+        How its laws shape a move, and when they believe what they identify.
     """
 
     task: ControlTask
@@ -120,23 +122,25 @@ class AdaptiveDesign:
         loops = {}
         for name, model in (("", self._model(poles)), ("unknown_", self._model(poles.slower(self.rules.unknown)))):
             for stage in (Stage.SPEED, Stage.POSITION):
-                control = self._control(model, stage)
+                control = stage_control(self.task, model, stage)
                 follows = "position" if stage is Stage.POSITION else "velocity"
                 shown = control.in_numbers((0.0, 0.0, 0.0), follows)
                 loops[name + stage.name.lower()] = loop_of(control, self.task.sampled, shown)
-        brake = self._control(self._model(poles), Stage.BRAKE)
+        brake = stage_control(self.task, self._model(poles), Stage.BRAKE)
         loops["brake"] = loop_of(brake, self.task.sampled, brake.in_numbers())
         return loops
 
     @property
     def _poles(self) -> Poles:
-        return NOISY_POLES if self.noise > NOISY_FROM * noise_unit(self.task) else QUIET_POLES
+        return encoder_poles(self.noise, noise_unit(self.task))
 
     def _model(self, poles: Poles) -> Model:
-        return Model(self.task.plant, is_late=False, poles=poles, period_s=self.task.period_s)
+        return configured_model(self.task, poles)
 
-    def _control(self, model: Model, stage: Stage) -> Control:
-        return stage_control(self.task, model, stage)
+
+def configured_model(task: ControlTask, poles: Poles) -> Model:
+    """Return the plant as it is configured, without a delay, with the gains for poles."""
+    return Model(task.plant, is_late=False, poles=poles, period_s=task.period_s)
 
 
 def stage_control(task: ControlTask, model: Model, stage: Stage) -> Control:
@@ -163,20 +167,53 @@ def stage_control(task: ControlTask, model: Model, stage: Stage) -> Control:
 def design_adaptive(task: ControlTask, noise: float, *, learns: bool) -> AdaptiveDesign:
     """See that each stage is stable on the configured plant.
 
+    Parameters
+    ----------
+    task
+        What the law is designed for.
+    noise
+        Standard deviation of a measured position, as far as it is known, in axis unit.
+    learns
+        Whether plants are identified.
+
     Raises
     ------
     DesignError
         If a loop would be unstable or fragile.
     """
-    design = AdaptiveDesign(task, noise, learns, 0.0)
-    model = design._model(design._poles)  # noqa: SLF001 - of the same module
-    settling_time_s = 0.0
-    for stage in Stage:
-        control = stage_control(task, model, stage)
-        radius = max(abs(pole) for pole in poles_of(control, task.sampled))
-        if not radius < 1.0 or margins_of(control, task.sampled, 2_000).modulus_margin < LEAST_MODULUS_MARGIN:
-            name = stage.name.lower()
-            raise DesignError(("encoder_noise",), f"the {name} stage would be fragile with this plant and tick")
-        if stage is Stage.BRAKE:
-            settling_time_s = task.period_s * math.log(REST_SHARE) / math.log(max(radius, 1e-9))
+    poles = encoder_poles(noise, noise_unit(task))
+    radii = {stage: _check_stage(task, poles, stage) for stage in Stage}
+    settling_time_s = task.period_s * math.log(REST_SHARE) / math.log(max(radii[Stage.BRAKE], 1e-9))
     return AdaptiveDesign(task, noise, learns, settling_time_s)
+
+
+def _check_stage(task: ControlTask, poles: Poles, stage: Stage) -> float:
+    """Return the magnitude of a stage's slowest pole."""
+    control = stage_control(task, configured_model(task, poles), stage)
+    radius = max(abs(pole) for pole in poles_of(control, task.sampled))
+    if not radius < 1.0:
+        raise _design_error(task, poles, stage, f"unstable: its closed loop has a pole of magnitude {radius:.4f}")
+    margin = margins_of(control, task.sampled, 2_000).modulus_margin
+    if margin < LEAST_MODULUS_MARGIN:
+        fragile = f"fragile: its modulus margin is {margin:.3f}, and at least {LEAST_MODULUS_MARGIN:g} is needed"
+        raise _design_error(task, poles, stage, fragile)
+    return radius
+
+
+def _design_error(task: ControlTask, poles: Poles, stage: Stage, finding: str) -> DesignError:
+    """Return the error that says what is wrong with a stage, and what to change."""
+    key: tuple[str, ...] = ()
+    change = "choose a shorter tick"
+    if stage is Stage.BRAKE:
+        change += ", or other observer variances (axis.observer)"
+    else:  # these poles are fixed in z, so only the plant and the tick make a difference
+        change += ", or correct axis.plant.pole if the plant is slower"
+        if poles is NOISY_POLES:
+            key = ("encoder_noise",)
+            quiet = NOISY_FROM * noise_unit(task)
+            change += f"; up to {quiet:.3g}, if the encoder is that quiet, encoder_noise selects other poles"
+    return DesignError(
+        key,
+        f"the {stage.name.lower()} stage would be {finding}, with axis.plant.pole = {task.plant.pole:g} and "
+        f"service.tick_ms = {1e3 * task.period_s:g}; {change}",
+    )

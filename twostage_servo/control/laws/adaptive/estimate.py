@@ -14,12 +14,10 @@ from twostage_servo.control.laws.adaptive.learning import Learning
 from twostage_servo.control.laws.adaptive.model import Model
 from twostage_servo.control.laws.adaptive.rules import (
     FINEST_SPREAD,
-    NOISY_FROM,
-    NOISY_POLES,
-    QUIET_POLES,
     SPREAD_SHARE,
     LearningRules,
     Rules,
+    encoder_poles,
     noise_unit,
 )
 from twostage_servo.control.laws.law import ControlTask, Learned
@@ -121,15 +119,15 @@ class ControlEstimate:
     def start(self, axis: DisturbanceObserver, effort: float) -> None:
         """Go on from the estimate of the axis' observer, as if an effort (effort unit) had acted so far."""
         self._efforts = effort, effort, effort
-        self.take(axis)
+        self._take(axis)
         self._rest.clear()
 
     def continue_from(self, other: "ControlEstimate", axis: DisturbanceObserver) -> None:
         """Go on where another one stands, with the axis' estimate and what is believed here."""
         self._efforts = other.efforts
-        self.take(axis)
+        self._take(axis)
 
-    def take(self, axis: DisturbanceObserver) -> None:
+    def _take(self, axis: DisturbanceObserver) -> None:
         """Take over the axis' estimate; the acceleration that it predicts stays."""
         self.give_up()
         configured, effort = self._task.plant, self._efforts[0]
@@ -153,7 +151,7 @@ class ControlEstimate:
         self._efforts = effort, last, before
         observer.update(observer.position if sample is None else sample, last if self.model.is_late else effort)
         if self._expected_load is not None:
-            self._begin() if sample is not None else self.give_up()
+            self._begin(self._expected_load, sample)
         if self.learning.active:
             self._learn(sample)
         self._tell()
@@ -205,10 +203,12 @@ class ControlEstimate:
         self._expected_load = load
         self._tell()
 
-    def _begin(self) -> None:
+    def _begin(self, load: float, sample: float | None) -> None:
         """Begin to identify with the first sample of the move: a model that runs by itself gets none."""
-        load, self._expected_load = self._expected_load, None
-        assert load is not None  # noqa: S101 - the caller has seen it
+        if sample is None:
+            self.give_up()
+            return
+        self._expected_load = None
         self.learning.begin(self._direction, load, SPREAD_SHARE * self.spread)
 
     def finish(self) -> None:
@@ -272,7 +272,7 @@ class ControlEstimate:
     def _adopt(self, plant: Plant) -> None:
         """Go on with a plant, by poles that go with what is known of it."""
         learning, rules = self.learning, self._rules
-        poles = NOISY_POLES if self.noise > NOISY_FROM * self._unit else QUIET_POLES
+        poles = encoder_poles(self.noise, self._unit)
         if not learning.is_known:
             poles = poles.slower(rules.unknown)
         elif learning.is_late:

@@ -1,6 +1,6 @@
-"""By what the adaptive law goes beside the plant: poles in z, times in ticks, shares; found by optimisation.
+"""The tuned numbers of the adaptive law: poles in z, times in ticks, shares; found by optimisation.
 
-Nothing here has the unit of an axis: what a pole, a share or a number of ticks is worth follows from the plant, the
+None of them has the unit of an axis: what a pole, a share or a number of ticks is worth follows from the plant, the
 tick and the limits of the effort. So the same axis in millimetres, degrees or counts makes the same move.
 """
 
@@ -11,25 +11,41 @@ from twostage_servo.control.laws.adaptive.placement import Pair, Poles
 from twostage_servo.control.laws.law import ControlTask
 
 QUIET_POLES: Final = Poles(0.0512, Pair(0.9137, 0.0289), Pair(0.1033, 0.0946))
-"""Of a loop with an encoder whose noise does not matter: peak sensitivity 2.0, delay margin 2 ticks."""
+"""For an encoder whose noise does not matter: peak sensitivity 2.0, delay margin 2 ticks."""
 
 NOISY_POLES: Final = Poles(0.839, Pair(0.802, 0.0269), Pair(0.345, 0.0433))
-"""The same with an encoder whose noise does."""
+"""For an encoder whose noise does: the estimate averages over more samples."""
 
 NOISY_FROM: Final = 0.04
-"""Noise from which the second ones are taken, in :func:`noise_unit`: 0.007 mm on the axis of the demo."""
+"""Noise above which :data:`NOISY_POLES` are taken, in :func:`noise_unit`: 0.007 mm on the axis of the demo."""
 
 FINEST_SPREAD: Final = 0.0185
-"""Spread of a sample that is assumed at least, in :func:`noise_unit`: a third of an encoder step of 0.01 mm there."""
+"""Smallest spread of a sample that is assumed, in :func:`noise_unit`: a third of an encoder step of 0.01 mm there."""
 
 SPREAD_SHARE: Final = 1.874
-"""How many times the noise a sample is taken to be off: a plant differs from its equation as well."""
+"""Spread of a sample for identification, as a multiple of the noise: a plant differs from its equation as well."""
 
 
 def noise_unit(task: ControlTask) -> float:
-    """Return what noise is measured by, in axis unit: how far the effort's change of one tick moves the axis in one."""
+    """Return by what noise is measured, in axis unit: how far the effort's largest change moves the axis in a tick.
+
+    So a threshold of the noise means the same whatever unit the axis has.
+    """
     step = min(task.effort_rate_limit * task.period_s, task.effort_limit)
     return abs(task.plant.gain) * step * task.period_s * task.period_s
+
+
+def encoder_poles(noise: float, unit: float) -> Poles:
+    """Return the poles for an encoder.
+
+    Parameters
+    ----------
+    noise
+        Standard deviation of a measured position, in axis unit.
+    unit
+        As :func:`noise_unit` returns it, in axis unit.
+    """
+    return NOISY_POLES if noise > NOISY_FROM * unit else QUIET_POLES
 
 
 @dataclass(frozen=True, slots=True)
