@@ -4,6 +4,7 @@ The loop is broken at the effort. The controller is ``z(k+1) = A_c z(k) + B_c y(
 closes it.
 """
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,6 +19,16 @@ if TYPE_CHECKING:
 
 FREQUENCIES = 20_000
 """Points at which a frequency response is looked at."""
+
+LEAST_MODULUS_MARGIN = 0.4
+"""Smallest distance of a loop from -1 that is taken: a sensitivity peak of 2.5. Up to 2 is usual (K. J. Astrom, R. M.
+Murray, *Feedback Systems*, section 12.3); the paper's second example has 1.8."""
+
+_REST_SHARE = 0.01
+"""What is left of an error when it counts as gone."""
+
+_LEAST_RADIUS = 1e-9
+"""Magnitude that a slowest pole is taken to have at least: one of 0 has no logarithm."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +96,19 @@ def poles_of(control: Control, plant: DiscretePlant) -> list[complex]:
     if not control.feeds_position:
         poles = np.delete(poles, np.argmin(np.abs(poles - 1.0)))
     return [complex(pole) for pole in poles]
+
+
+def settling_time_s(radius: float, period_s: float) -> float:
+    """Return how long the slowest pole, of a magnitude `radius` below 1, takes to die down to a hundredth, in s.
+
+    Parameters
+    ----------
+    radius
+        Of the pole in z.
+    period_s
+        The tick, in s.
+    """
+    return period_s * math.log(_REST_SHARE) / math.log(max(radius, _LEAST_RADIUS))
 
 
 def margins_of(control: Control, plant: DiscretePlant, frequencies: int = FREQUENCIES) -> Margins:

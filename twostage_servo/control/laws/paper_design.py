@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
-from twostage_servo.control.laws.margins import loop_of
+from twostage_servo.control.laws.margins import LEAST_MODULUS_MARGIN, loop_of, settling_time_s
 from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.laws.paper_margins import closed_loop_poles, loop_margins, stage_control, stage_controller
 from twostage_servo.control.laws.stop import StopDesign
@@ -15,13 +15,6 @@ from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant
 
 _RATIO = ("performance_index_ratio",)
-
-REST_SHARE = 0.01
-"""What is left of the end of a stop when it counts as over."""
-
-LEAST_MODULUS_MARGIN = 0.4
-"""Smallest distance of a loop from -1 that is taken: a sensitivity peak of 2.5. Up to 2 is usual (K. J. Astrom, R. M.
-Murray, *Feedback Systems*, section 12.3); the paper's second example has 1.8."""
 
 _CRUISE_TIMES = 20.0
 """Change-over times of cruise after which the speed has settled for good."""
@@ -199,13 +192,9 @@ def design_paper(ratio: float, task: ControlTask) -> PaperDesign:
             f"the optimal design gives f11 = {gains.f11:g}, f22 = {gains.f22:g}, which cannot drive this plant; "
             "choose a larger Q/R",
         )
-    settling_time_s = 0.0
-    for stage in Stage:
-        radius = _check_stage(gains, task, stage)
-        if stage is Stage.BRAKE:
-            settling_time_s = task.period_s * math.log(REST_SHARE) / math.log(max(radius, 1e-9))
+    radii = {stage: _check_stage(gains, task, stage) for stage in Stage}
     response = UnitResponse(gains, task.sampled, task.period_s)
-    return PaperDesign(task, ratio, gains, settling_time_s, response)
+    return PaperDesign(task, ratio, gains, settling_time_s(radii[Stage.BRAKE], task.period_s), response)
 
 
 def _check_stage(gains: ServoGains, task: ControlTask, stage: Stage) -> float:

@@ -13,6 +13,7 @@ from math import copysign, isfinite, sqrt
 
 from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
+from twostage_servo.control.laws.margins import settling_time_s
 from twostage_servo.control.laws.paper_margins import closed_loop_poles
 from twostage_servo.control.laws.stop import Stop, StopDesign
 from twostage_servo.control.observer import DisturbanceObserver
@@ -20,11 +21,6 @@ from twostage_servo.control.optimal import ServoGains
 
 Feedback = Callable[[float, float], float]
 """From the errors of position and speed (axis unit, axis unit/s; reference minus estimate) to effort (effort unit)."""
-
-_SETTLED_SHARE = 0.01
-"""What is left of an error when it counts as gone."""
-
-_LEAST_RADIUS = 1e-9
 
 
 class TrackingLaw:
@@ -205,7 +201,7 @@ class TrackingDesign:
     @property
     def settling_time_s(self) -> float:
         """How long the slowest pole of a stop takes to die down to a hundredth, in s."""
-        return self.task.period_s * math.log(_SETTLED_SHARE) / math.log(max(self._stop_radius(), _LEAST_RADIUS))
+        return settling_time_s(self._stop_radius(), self.task.period_s)
 
     def build(self, observer: DisturbanceObserver) -> TrackingLaw:
         """Return a law within the task's limits."""

@@ -11,7 +11,7 @@ from twostage_servo.settings.base import Settings, quantity
 
 
 class AdaptiveSettings(Settings):
-    """What the adaptive law is told of its encoder, and whether it learns."""
+    """Whether the adaptive law identifies its plant, and how noisy its encoder is."""
 
     identification: bool = Field(
         True, description="Whether moves from rest identify gain, pole, load and delay of the plant"

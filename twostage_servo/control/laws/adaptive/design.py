@@ -1,4 +1,4 @@
-"""What the adaptive law comes to for a task: its way to brake, how long it takes, and how stable its stages are."""
+"""The design of the adaptive law: gains from poles, the loops of its stages, and how far and how long it goes."""
 
 import math
 from collections.abc import Mapping
@@ -18,15 +18,16 @@ from twostage_servo.control.laws.adaptive.rules import (
     noise_unit,
 )
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
-from twostage_servo.control.laws.margins import Control, loop_of, margins_of, poles_of
+from twostage_servo.control.laws.margins import (
+    LEAST_MODULUS_MARGIN,
+    Control,
+    loop_of,
+    margins_of,
+    poles_of,
+    settling_time_s,
+)
 from twostage_servo.control.laws.stop import StopDesign, braking_gain
 from twostage_servo.control.observer import DisturbanceObserver, extended_model
-
-REST_SHARE = 0.01
-"""What is left of the end of a stop when it counts as over."""
-
-LEAST_MODULUS_MARGIN = 0.4
-"""Smallest distance of a loop from -1 that is taken; see :data:`.paper_design.LEAST_MODULUS_MARGIN`."""
 
 _SETTLING_TICKS = 3.0
 """Ticks from the end of the braking reference until the axis is in a window: a delay of one, and the poles."""
@@ -64,18 +65,21 @@ class AdaptiveDesign:
 
     @property
     def deceleration(self) -> float:
-        """With which the braking reference slows down without a load, in axis unit/s²."""
+        """The deceleration that braking is planned with where there is no load, in axis unit/s²."""
         task = self.task
         return min(self.rules.braking_share * abs(task.plant.gain) * task.effort_limit, task.acceleration_limit)
 
     @property
     def changeover_time_s(self) -> float:
-        """The largest braking way for each axis unit/s, that of the velocity limit, in s."""
+        """Distance of the change-over from the set-point for each axis unit/s, at the velocity limit, in s.
+
+        It is the largest: at lower speeds braking takes less way for each.
+        """
         velocity = self.task.velocity_limit
         return self._braking_way(velocity) / velocity
 
     def _braking_way(self, velocity: float) -> float:
-        """Return how far before the set-point the change-over is, in axis unit, in a cruise."""
+        """Return how far before the set-point a cruise at a velocity (axis unit/s) ends, in axis unit."""
         task, deceleration = self.task, self.deceleration
         ways = self._model(self._poles).ways
         gain, step = abs(task.plant.gain), task.effort_rate_limit * task.period_s
@@ -83,7 +87,7 @@ class AdaptiveDesign:
         return velocity * velocity / (2.0 * deceleration) + 0.5 * velocity * task.period_s + shape.way
 
     def move_duration_s(self, distance: float, velocity: float, window: float) -> float:
-        """Return how long a move takes, in s: ramp, cruise and braking of the reference, and the rest."""
+        """Return how long a move takes, in s: ramp, cruise and braking of the reference, and its settling."""
         task, braking = self.task, self.deceleration
         rising = min(task.acceleration_limit, abs(task.plant.gain) * task.effort_limit)
         least = max(distance - window, 0.0)
@@ -183,8 +187,7 @@ def design_adaptive(task: ControlTask, noise: float, *, learns: bool) -> Adaptiv
     """
     poles = encoder_poles(noise, noise_unit(task))
     radii = {stage: _check_stage(task, poles, stage) for stage in Stage}
-    settling_time_s = task.period_s * math.log(REST_SHARE) / math.log(max(radii[Stage.BRAKE], 1e-9))
-    return AdaptiveDesign(task, noise, learns, settling_time_s)
+    return AdaptiveDesign(task, noise, learns, settling_time_s(radii[Stage.BRAKE], task.period_s))
 
 
 def _check_stage(task: ControlTask, poles: Poles, stage: Stage) -> float:

@@ -35,14 +35,14 @@ _LARGEST_SPREAD: Final = 30.0
 
 
 class ControlEstimate:
-    """Position, velocity and disturbance of the plant that is believed in, where the next effort begins to act.
+    """Position, velocity and disturbance at the instant at which the next effort begins to act.
 
     Parameters
     ----------
     task
         What the law is designed for.
     rules, learning_rules
-        By what it goes.
+        How the law shapes a move, and when it believes what it identifies.
     noise
         Standard deviation of the encoder in axis unit, as far as it is known; more is measured at rest.
     learns
@@ -53,7 +53,7 @@ class ControlEstimate:
     model
         The plant that is believed in at present, and its gains.
     learning
-        What has been found out of it.
+        What has been identified of the plant.
     position, velocity, disturbance
         In axis unit, axis unit/s and effort unit.
     """

@@ -17,6 +17,12 @@ surprised by, as log-likelihoods, tells which is right.
 from math import hypot, log, sqrt
 from typing import NamedTuple
 
+_SHARE_GROWTH = 1.2
+"""Factor by which the spread of gain and pole grows from one move to the next: the plant may have changed."""
+
+_LEAST_SHARE_GROWTH = 0.01
+"""Spread that is added to it, as a share of the value: without it the fits would stop learning in the end."""
+
 
 class Prior(NamedTuple):
     """What is known of a plant before a move; forward is the direction of the move.
@@ -41,6 +47,8 @@ class Prior(NamedTuple):
 
 class Fit:
     """One least-squares fit; positions and efforts are counted forward from where the move began.
+
+    Equations and source are in the module.
 
     Parameters
     ----------
@@ -87,7 +95,15 @@ class Fit:
         self.samples = 0
 
     def update(self, sample: float | None, acted: float) -> None:
-        """Take a sample (axis unit), and the effort that has acted in the tick before it; None where it is lost."""
+        """Take a tick.
+
+        Parameters
+        ----------
+        sample
+            The measured position at its end, in axis unit; None where it is lost.
+        acted
+            The effort that has acted in it, in effort unit.
+        """
         period_s, values = self._period_s, self._values
         self._effort_twice += self._effort_once * period_s + 0.5 * acted * period_s * period_s
         self._effort_once += acted * period_s
@@ -106,9 +122,13 @@ class Fit:
         error = sample - sum(factor * value for factor, value in zip(regressor, values, strict=True))
         if is_lost:
             self.position = sample - error
-            return
+        else:
+            self._correct(sample, error, regressor)
+
+    def _correct(self, sample: float, error: float, regressor: tuple[float, ...]) -> None:
+        """Learn from a sample, by what it is off the fit (both in axis unit)."""
+        values, root = self._values, self._root
         # Potter's form: the root S of the covariance S S', so that it stays one however little is left of it.
-        root = self._root
         seen = [sum(row[column] * factor for row, factor in zip(root, regressor, strict=True)) for column in range(4)]
         variance = self._variance + sum(value * value for value in seen)
         weighed = [sum(entry * value for entry, value in zip(row, seen, strict=True)) for row in root]
@@ -124,7 +144,7 @@ class Fit:
         self.position = sample - error * self._variance / variance
 
     def begin_late(self, sample: float) -> None:
-        """Take a sample of a tick in which nothing has acted yet: noise alone has moved it."""
+        """Take a sample (axis unit) of a tick in which nothing has acted yet: noise alone has moved it."""
         self.evidence += sample * sample / self._variance / 2.0
 
     @property
@@ -160,5 +180,13 @@ class Fit:
 
 
 def widened(share: float, prior_share: float) -> float:
-    """Return the spread with which what has been identified goes into the next move, as a share."""
-    return min(prior_share, hypot(1.2 * share, 0.01))
+    """Return the spread with which what has been identified goes into the next move, as a share.
+
+    Parameters
+    ----------
+    share
+        Spread of the fit, as a share.
+    prior_share
+        Spread of what is configured, as a share: the result is at most that.
+    """
+    return min(prior_share, hypot(_SHARE_GROWTH * share, _LEAST_SHARE_GROWTH))

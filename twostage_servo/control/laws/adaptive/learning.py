@@ -14,57 +14,123 @@ from twostage_servo.control.plant import Plant
 GAIN_BOUNDS: Final = (0.6, 1.65)
 POLE_BOUNDS: Final = (0.5, 1.65)
 """Between which multiples of what is configured an identified gain and pole may lie."""
+
 BEYOND_BOUNDS: Final = 1.5
 """Standard deviations by which a fit may lie beyond them and still be believed, at the bound."""
 
+_UNKNOWN_SHARE: Final = 0.8
+"""Share of the spread that is configured from which a plant counts as unknown still."""
 
-class Estimate(NamedTuple):
-    """What the likelier fit says, forward from where the move began, at the last sample."""
+_TICKS_UNTIL_ACTED: Final = 2
+"""Ticks of a move until its first sample after an effort has acted in time; a late one takes a tick more."""
+
+_FIRST_SURPRISE: Final = 6
+"""Tick of a move from which a surprise counts: before, a fit goes by its prior most of all."""
+
+_SURPRISES: Final = 2
+"""Surprises in a row that end identification: one may be a bad sample."""
+
+_FEWEST_TICKS: Final = 5
+"""Ticks of a move below which nothing of it is kept."""
+
+_MOST_DELAY_EVIDENCE: Final = 200.0
+"""Bound of the evidence for one delay that moves add up: so that a delay that has changed is found in a few moves."""
+
+
+class Found(NamedTuple):
+    """What the likelier fit says at the last sample, counted forward from where the move began.
+
+    Attributes
+    ----------
+    position, velocity
+        In axis unit and axis unit/s.
+    load
+        What acts against the move, friction included, in effort unit.
+    plant
+        Gain and pole, within their bounds.
+    """
 
     position: float
     velocity: float
     load: float
     plant: Plant
-    is_late: bool
-
-
-_UNKNOWN_SHARE: Final = 0.8
-_FIRST_SURPRISE: Final = 6
-_FEWEST_TICKS: Final = 5
 
 
 class Learning:
-    """Keeps what is known of the plant."""
+    """Identifies the plant in each move, and keeps what is known of it.
+
+    Parameters
+    ----------
+    configured
+        The plant as it is configured.
+    rules
+        When a fit is believed.
+    period_s
+        The tick, in s.
+    effort_limit
+        Largest magnitude of the effort, in effort unit: the prior's loads are shares of it.
+
+    Attributes
+    ----------
+    believed
+        The plant to go by at the start of a move.
+    loads
+        What acted against the last move in each direction (1 or -1), friction included, in effort unit.
+    is_known
+        Whether a plant has been found that is known well.
+    is_late
+        Whether an effort acts a tick later, as far as is known.
+    moves
+        How many moves it has learned from.
+    active
+        Whether a move is being looked at.
+    """
+
+    __slots__ = (
+        "_configured", "_delay_evidence", "_direction", "_effort_limit", "_fits", "_period_s", "_rules", "_shares",
+        "_surprises", "_ticks", "active", "believed", "is_known", "is_late", "loads", "moves",
+    )  # fmt: skip
 
     def __init__(self, configured: Plant, rules: LearningRules, period_s: float, effort_limit: float) -> None:
-        self.rules = rules
-        self.configured = configured
+        self._rules = rules
+        self._configured = configured
         self._period_s = period_s
         self._effort_limit = effort_limit
         self.forget()
 
     def forget(self) -> None:
         """Know nothing but what is configured."""
-        share = self.rules.prior_share
-        self.believed = self.configured
+        share = self._rules.prior_share
+        self.believed = self._configured
         self._shares = (share, share)
         self.loads: dict[float, float] = {}
         self.is_known = False
         self.is_late = False
         self.moves = 0
         self._delay_evidence = 0.0
-        self._fits = self._new_fits(0.0, 1.0, self.rules.prior_load)
+        self._fits = self._new_fits(0.0, 1.0, self._rules.prior_load)
+        self._direction = 1.0
         self.active = False
         self._ticks = self._surprises = 0
 
     @property
     def is_new(self) -> bool:
         """Whether a plant is being identified of which no more is known than what is configured."""
-        return self.active and self._shares[0] >= _UNKNOWN_SHARE * self.rules.prior_share
+        return self.active and self._shares[0] >= _UNKNOWN_SHARE * self._rules.prior_share
 
     def begin(self, direction: float, load: float, spread: float) -> None:
-        """Begin to look at a move from rest; `load` (effort unit) is what seems to act against it."""
-        rules = self.rules
+        """Begin to look at a move from rest.
+
+        Parameters
+        ----------
+        direction
+            1 or -1.
+        load
+            What seems to act against the move, in effort unit.
+        spread
+            Standard deviation of a sample, in axis unit.
+        """
+        rules = self._rules
         self._direction = direction
         self._fits = self._new_fits(load, spread, rules.known_load if direction in self.loads else rules.prior_load)
         self.active = True
@@ -77,39 +143,49 @@ class Learning:
         prior = Prior(self.believed.gain, self.believed.pole, load, gain_share, pole_share, load_spread)
         return Fit(prior, spread, self._period_s), Fit(prior, spread, self._period_s)
 
-    def update(self, sample: float | None, effort: float, before: float) -> Estimate | None:
-        """Take a tick: the sample, forward from the start, and the efforts u(k-1) and u(k-2), forward.
+    def update(self, sample: float | None, effort: float, before: float) -> Found | None:
+        """Take a tick, all of it counted in the direction of the move.
 
-        Returns the estimate to go on with; None where the observer is to be believed.
+        Parameters
+        ----------
+        sample
+            The measured position from where the move began, in axis unit; None where it is lost.
+        effort, before
+            The efforts u(k-1) and u(k-2), in effort unit.
+
+        Returns
+        -------
+        Found or None
+            What to go on with; None where the observer is to be believed.
         """
         soon, late = self._fits
         self._ticks += 1
         ticks = self._ticks
-        if ticks < 2:
+        if ticks < _TICKS_UNTIL_ACTED:
             return None
         soon.update(sample, effort)
-        if ticks == 2:
+        if ticks == _TICKS_UNTIL_ACTED:
             if sample is not None:
                 late.begin_late(sample)
         else:
             late.update(sample, before)
-        surprised = ticks >= _FIRST_SURPRISE and min(soon.surprise, late.surprise) > self.rules.surprise
+        surprised = ticks >= _FIRST_SURPRISE and min(soon.surprise, late.surprise) > self._rules.surprise
         self._surprises = self._surprises + 1 if surprised else 0
-        if self._surprises or ticks < 3:
+        if self._surprises or ticks <= _TICKS_UNTIL_ACTED:
             return None
         gap = late.evidence - soon.evidence
         if self.moves == 0:
-            self.is_late = gap + self.rules.delay_evidence < 0.0
+            self.is_late = gap + self._rules.delay_evidence < 0.0
         else:
             self.is_late = self._delay_evidence + gap < 0.0
         fit = late if self.is_late else soon
-        return Estimate(fit.position, fit.velocity, fit.load, self._bounded(fit), self.is_late)
+        return Found(fit.position, fit.velocity, fit.load, self._bounded(fit))
 
     @property
     def is_sure(self) -> bool:
         """Whether the likelier fit knows the gain, and which one is likelier."""
         gap = abs(self._fits[1].evidence - self._fits[0].evidence)
-        fit, rules = self._fits[self.is_late], self.rules
+        fit, rules = self._fits[self.is_late], self._rules
         return (
             fit.gain_share < rules.known_share
             and fit.pole_share < rules.known_share
@@ -119,13 +195,13 @@ class Learning:
     @property
     def contradicted(self) -> bool:
         """Whether neither fit explains the samples: something else acts."""
-        return self._surprises >= 2
+        return self._surprises >= _SURPRISES
 
     def give_up(self) -> bool:
         """End without keeping anything; return whether the model of this move is known well enough to go on with."""
         self.active, self._surprises = False, 0
         fit = self._fits[self.is_late]
-        if self._ticks >= self.rules.early_ticks and fit.gain_share < self.rules.early_share:
+        if self._ticks >= self._rules.early_ticks and fit.gain_share < self._rules.early_share:
             self.is_known = True
             return True
         return False
@@ -135,7 +211,7 @@ class Learning:
         self.active = False
         if self._ticks < _FEWEST_TICKS:
             return False
-        fit, rules = self._fits[self.is_late], self.rules
+        fit, rules = self._fits[self.is_late], self._rules
         plant = self._bounded(fit)
         gain_spread, pole_spread = abs(fit.gain) * fit.gain_share, fit.pole * fit.pole_share
         if (
@@ -154,12 +230,12 @@ class Learning:
             widened(pole_spread / plant.pole, rules.prior_share),
         )
         self.loads[self._direction] = fit.load
-        self._delay_evidence = min(max(self._delay_evidence + gap, -200.0), 200.0)
+        self._delay_evidence = _within(self._delay_evidence + gap, (-_MOST_DELAY_EVIDENCE, _MOST_DELAY_EVIDENCE))
         self.moves += 1
         return True
 
     def _bounded(self, fit: Fit) -> Plant:
-        configured = self.configured
+        configured = self._configured
         return Plant(
             _within(fit.gain / configured.gain, GAIN_BOUNDS) * configured.gain,
             _within(fit.pole / configured.pole, POLE_BOUNDS) * configured.pole,

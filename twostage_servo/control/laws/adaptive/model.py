@@ -1,4 +1,4 @@
-"""What the law believes of its plant, and the gains that follow."""
+"""A plant that the law believes in, and the gains that follow from it."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,7 +10,7 @@ from twostage_servo.control.plant import DiscretePlant, Plant, Triple
 
 @dataclass(frozen=True)
 class Model:
-    """A plant, sampled, with its poles.
+    """A plant, sampled, and the closed loop's poles; what follows is computed where it is asked for.
 
     Attributes
     ----------
@@ -41,10 +41,10 @@ class Model:
 
     @cached_property
     def observer_gain(self) -> Triple:
-        """Of the disturbance observer, in predictor form."""
+        """L1, L2, L3 of the disturbance observer in predictor form, in 1, 1/s and effort unit per axis unit."""
         return observer_gain(self.sampled, self.poles.single, self.poles.observer)
 
     @cached_property
     def feedback(self) -> tuple[float, float]:
-        """f1 and f2."""
+        """f1 and f2 of ``u = -f1 x1 - f2 x2``, in effort unit per axis unit and per axis unit/s."""
         return feedback_gains(self.sampled, self.poles.feedback)

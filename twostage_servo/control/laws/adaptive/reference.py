@@ -15,12 +15,22 @@ from typing import NamedTuple
 from twostage_servo.control.plant import DiscretePlant
 
 _MOST_TAPS = 12
+"""Longest average: it bounds the work of a tick where the effort's rate is low."""
+
 _RATE_SHARE = 0.75
 """Share of the effort's rate that the reference uses; the rest is the feedback's."""
 
 
 class Ways(NamedTuple):
-    """What a tick's way is made of: ``alpha v+ + beta v``, both in s."""
+    """What a tick's way is made of: ``alpha v+ + beta v``.
+
+    Attributes
+    ----------
+    alpha, beta
+        Of the speed at its end and at its start, in s.
+    period_s
+        The tick, in s.
+    """
 
     alpha: float
     beta: float
@@ -79,7 +89,23 @@ class Shape(NamedTuple):
     def at(
         cls, ahead: float, speed: float, goal: float, deceleration: float, gain: float, effort_step: float, ways: Ways
     ) -> "Shape":
-        """Return the shape with which a reference that goes from `speed` to `ahead` may begin to brake."""
+        """Return the shape with which a reference may begin to brake.
+
+        Parameters
+        ----------
+        ahead, speed
+            Of the reference a tick ahead and now, in axis unit/s.
+        goal
+            At which it would rise no further, in axis unit/s.
+        deceleration
+            In axis unit/s².
+        gain
+            Magnitude of the plant's gain, in axis unit/s² per effort unit.
+        effort_step
+            Largest change of the effort in a tick, in effort unit.
+        ways
+            Of the plant.
+        """
         period_s = ways.period_s
         rise = max(0.0, ahead - speed) if ahead < goal else 0.0
         swing = (deceleration * period_s + rise) / (gain * period_s)
