@@ -31,7 +31,7 @@ from twostage_servo.control.laws.stop import Stop
 from twostage_servo.control.observer import DisturbanceObserver
 
 _SPEED, _POSITION, _BRAKE = Stage.SPEED, Stage.POSITION, Stage.BRAKE
-"""Looked up once: a member of an enumeration takes a part of the whole step each time."""
+"""Looked up once, since a look-up of a member costs a measurable part of a step."""
 
 
 class AdaptiveLaw:
@@ -100,9 +100,9 @@ class AdaptiveLaw:
         if self.stage is _BRAKE:
             estimate.start(self.observer, self.effort)
         estimate.give_up()
-        speed = course.direction * course.speed if self.stage is _SPEED else estimate.velocity
+        signed_speed = course.direction * course.speed if self.stage is _SPEED else estimate.velocity
         direction = copysign(1.0, target - estimate.position)
-        speed = 0.0 if at_rest else direction * speed
+        speed = 0.0 if at_rest else direction * signed_speed
         self._follow(Course(target, course.position, velocity, direction, speed))
         presses = self.saturated and abs(self.observer.velocity) <= self._rest_velocity
         self._departure.set_out(self.observer.position, leaves_obstacle=presses)
@@ -178,6 +178,7 @@ class AdaptiveLaw:
         return self._course
 
     def _follow(self, course: Course) -> None:
+        """Take a course, and tell where it goes."""
         self._course = course
         self.target, self.cruise_velocity = course.target, course.cruise_velocity
 
