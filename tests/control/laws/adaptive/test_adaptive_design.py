@@ -26,10 +26,8 @@ def test_the_position_stage_is_as_stable_as_the_study_says() -> None:
     """Peak sensitivity 2.0, a delay margin of two ticks, and 0.148 mm for a load step of 1 V."""
     loop = design(task(effort=10.0)).loops()["position"]
     plant, controller = systems(loop)
-    sensitivity = control.feedback(1.0, -plant * controller)
-    angles = np.geomspace(1e-4, np.pi, 20_000) / PERIOD_S
-    magnitude, _, _ = control.frequency_response(sensitivity, angles)
-    peak = float(np.max(np.squeeze(magnitude)))
+    loop_at = np.squeeze((plant * controller)(np.exp(1j * np.geomspace(1e-4, np.pi, 20_000))))
+    peak = float(np.max(np.abs(1.0 / (1.0 - loop_at))))  # the controller has the sign of its feedback
     assert peak == pytest.approx(1.0 / loop.modulus_margin, rel=1e-3)
     assert peak < 2.05
     assert loop.delay_margin_s >= 2.0 * PERIOD_S

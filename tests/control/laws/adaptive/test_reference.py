@@ -67,6 +67,19 @@ def test_a_braking_ends_on_the_set_point_by_steps_that_are_no_steeper_than_plann
     assert min(steps) >= -1e-9
 
 
+@given(st.floats(0.0, 200.0), st.floats(0.0, 60.0), st.floats(0.3, 30.0))
+def test_the_way_of_the_average_is_that_of_its_taps_one_by_one(speed: float, rise: float, effort_step: float) -> None:
+    ahead = speed + rise
+    shape = Shape.at(ahead, speed, 500.0, 2000.0, 180.0, effort_step, WAYS)
+    assert 2 <= shape.taps <= 12
+    way = sum(
+        WAYS.alpha * (shape.speed - j * shape.rise) + WAYS.beta * (shape.speed - (j + 1) * shape.rise)
+        for i in range(1, shape.taps)
+        for j in range(i)
+    )
+    assert shape.way == pytest.approx(way / shape.taps, rel=1e-12, abs=1e-12)
+
+
 def test_a_copy_goes_on_by_itself() -> None:
     braking = Braking(Shape(0.0, 100.0, 3, 0.0), 5.0, 1000.0)
     braking.advance(WAYS)

@@ -111,10 +111,10 @@ class Shape(NamedTuple):
         swing = (deceleration * period_s + rise) / (gain * period_s)
         taps = min(max(2, ceil(swing / (_RATE_SHARE * effort_step))), _MOST_TAPS)
         newest = ahead + 0.5 * rise * (taps - 1)
-        alpha, beta = ways.alpha, ways.beta
-        way = sum(
-            alpha * (newest - j * rise) + beta * (newest - (j + 1) * rise) for i in range(1, taps) for j in range(i)
-        )
+        # Sum of ``alpha (newest - j rise) + beta (newest - (j + 1) rise)`` over j < i < m: tap i comes i ticks later.
+        once = taps * (taps - 1) / 2
+        twice = once * (taps - 2) / 3
+        way = period_s * newest * once - rise * (period_s * twice + ways.beta * once)
         return cls(rise, newest, taps, way / taps)
 
 
