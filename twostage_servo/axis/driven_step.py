@@ -15,6 +15,7 @@ from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trip_latch import TripLatch
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.model_monitor.hypotheses import LEAST_GAIN
 
 
 class DrivenStep:
@@ -80,13 +81,25 @@ class DrivenStep:
         if motion.moves_after_all:
             self.end_braking()
         for code, cause in self._supervision.violations(machine.state, referenced=self._reference.source is not None):
-            self._latch.raise_trip(code, cause)
+            self._latch.raise_trip(code, cause, keeps_reference=self._lacks_commands(code))
         self._check_switch_ahead()
         if machine.state is State.HOMING:
             self._home()
         elif machine.state in {State.POSITION_STAGE, State.JOGGING}:
             self._check_window()
         return Command(effort, enable=True) if machine.state in DRIVEN else NO_EFFORT
+
+    def _lacks_commands(self, code: TripCode) -> bool:
+        """Whether a trip says no more than that an axis, which has tripped before, hardly answers its braking.
+
+        As where a bus no longer takes the commands: then the drive keeps its effort, and the encoder is right.
+        """
+        return (
+            code is TripCode.MODEL_MISMATCH
+            and self._latch.trip is not None
+            and self._machine.state in BRAKING
+            and self._motion.model_monitor.better_factor == LEAST_GAIN
+        )
 
     def end_braking(self) -> None:
         """Give up a braking that takes too long, and disable the drive as at its end."""

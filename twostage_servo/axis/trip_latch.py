@@ -62,10 +62,17 @@ class TripLatch:
         self.trip = self.escalation = None
         self.trips.clear()
 
-    def raise_trip(self, code: TripCode, cause: str) -> None:
+    def raise_trip(self, code: TripCode, cause: str, *, keeps_reference: bool = False) -> None:
         """Latch a trip; a second one changes nothing but that a more severe reaction takes over.
 
         One that concerns a disabled drive stands beside the first in any case: it must not hide behind it.
+
+        Parameters
+        ----------
+        code, cause
+            What has happened.
+        keeps_reference
+            Whether it says nothing against the encoder this time, though a trip of this code may.
         """
         rule, machine = RULES[code], self._machine
         event = Event.TRIP_WHILE_DISABLED if rule.while_disabled else EVENTS[rule.reaction]
@@ -79,7 +86,7 @@ class TripLatch:
             self._motion.distrust()
         elif rule.blind and not self._motion.blind:
             self._motion.ignore_feedback()
-        if rule.unreferenced:
+        if rule.unreferenced and not keeps_reference:
             self._reference.lose(f"{code}: {rule.position_in_doubt}")
         if self.trip is None:
             self.trip = trip
