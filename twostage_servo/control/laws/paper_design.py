@@ -9,7 +9,7 @@ from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stag
 from twostage_servo.control.laws.margins import LEAST_MODULUS_MARGIN, loop_of, settling_time_s
 from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.laws.paper_margins import closed_loop_poles, loop_margins, stage_control, stage_controller
-from twostage_servo.control.laws.stop import StopDesign
+from twostage_servo.control.laws.stop import StopsByRamp
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant
@@ -25,7 +25,7 @@ _SMALLEST_SHARE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
-class PaperDesign:
+class PaperDesign(StopsByRamp):
     """What follows from Q/R for a task; see :class:`~twostage_servo.control.laws.law.LawDesign`.
 
     Attributes
@@ -74,18 +74,6 @@ class PaperDesign:
             return response.enters(response.alone, window / distance)
         ramp_s = velocity / (2.0 * self.task.acceleration_limit)
         return cruise / velocity + response.lag_s + ramp_s + response.enters(response.after_cruise, window / velocity)
-
-    def stopping_distance(self, velocity: float, deceleration: float) -> float:
-        """Return how far the plant of the model goes in a stop, in axis unit."""
-        return StopDesign(self.task).distance(velocity, deceleration)
-
-    def certain_stopping_distance(self, velocity: float, deceleration: float) -> float:
-        """Return how far an axis goes at most whose plant is off its model, in axis unit."""
-        return StopDesign(self.task).certain_distance(velocity, deceleration)
-
-    def stopping_time_s(self, velocity: float, deceleration: float) -> float:
-        """Return how long a stop takes, in s: the ramp, the effort rate, and until the rest has died down."""
-        return StopDesign(self.task).ramp_time_s(velocity, deceleration) + self.settling_time_s
 
     def gains(self) -> Mapping[str, float]:
         """Return f11, f12 and f22."""

@@ -12,6 +12,7 @@ for a constant would drive the axis backwards by what it held against that frict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import copysign, inf, isinf, sqrt
+from typing import Protocol
 
 from twostage_servo.control.laws.law import ControlTask
 from twostage_servo.control.observer import DisturbanceObserver
@@ -243,3 +244,33 @@ class StopDesign:
         """Return the way of a ramp to its sharp end, whose effort is that of a deceleration `steepest`."""
         delay_s = self.task.period_s + self.effort_time_s(speed, steepest)
         return speed * delay_s + speed**2 / (2.0 * self.attainable(deceleration))
+
+
+class _Design(Protocol):
+    """A law's design that stops by a ramp."""
+
+    @property
+    def task(self) -> ControlTask:
+        """What the law is designed for."""
+
+    @property
+    def settling_time_s(self) -> float:
+        """How long the end of a stop takes to die down to a hundredth, in s."""
+
+
+class StopsByRamp:
+    """What a law's design says of its stops where they are those of :class:`Stop`."""
+
+    __slots__ = ()
+
+    def stopping_distance(self: _Design, velocity: float, deceleration: float) -> float:
+        """Return how far the plant of the model goes in a stop, in axis unit."""
+        return StopDesign(self.task).distance(velocity, deceleration)
+
+    def certain_stopping_distance(self: _Design, velocity: float, deceleration: float) -> float:
+        """Return how far an axis goes at most whose plant is off its model, in axis unit."""
+        return StopDesign(self.task).certain_distance(velocity, deceleration)
+
+    def stopping_time_s(self: _Design, velocity: float, deceleration: float) -> float:
+        """Return how long a stop takes, in s: the ramp, the effort rate, and until the rest has died down."""
+        return StopDesign(self.task).ramp_time_s(velocity, deceleration) + self.settling_time_s

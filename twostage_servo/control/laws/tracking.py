@@ -15,7 +15,7 @@ from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
 from twostage_servo.control.laws.margins import settling_time_s
 from twostage_servo.control.laws.paper_margins import closed_loop_poles
-from twostage_servo.control.laws.stop import Stop, StopDesign
+from twostage_servo.control.laws.stop import Stop, StopsByRamp
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
 
@@ -159,7 +159,7 @@ class TrackingLaw:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackingDesign:
+class TrackingDesign(StopsByRamp):
     """The design of a :class:`TrackingLaw`; see :class:`~twostage_servo.control.laws.law.LawDesign`.
 
     Parameters
@@ -212,18 +212,6 @@ class TrackingDesign:
         acceleration = self.task.acceleration_limit
         speed = min(velocity, sqrt(acceleration * distance))
         return distance / speed + speed / acceleration + self.time_constant_s * math.log(distance / window)
-
-    def stopping_distance(self, velocity: float, deceleration: float) -> float:
-        """Return how far the plant of the model goes in a stop, in axis unit."""
-        return StopDesign(self.task).distance(velocity, deceleration)
-
-    def certain_stopping_distance(self, velocity: float, deceleration: float) -> float:
-        """Return how far an axis goes at most whose plant is off its model, in axis unit."""
-        return StopDesign(self.task).certain_distance(velocity, deceleration)
-
-    def stopping_time_s(self, velocity: float, deceleration: float) -> float:
-        """Return how long a stop takes, in s."""
-        return StopDesign(self.task).ramp_time_s(velocity, deceleration) + self.settling_time_s
 
     def gains(self) -> Mapping[str, float]:
         """Return the gains of the feedback."""

@@ -26,7 +26,7 @@ from twostage_servo.control.laws.margins import (
     poles_of,
     settling_time_s,
 )
-from twostage_servo.control.laws.stop import StopDesign, braking_gain
+from twostage_servo.control.laws.stop import StopsByRamp, braking_gain
 from twostage_servo.control.observer import DisturbanceObserver, extended_model
 
 _SETTLING_TICKS = 3.0
@@ -34,7 +34,7 @@ _SETTLING_TICKS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class AdaptiveDesign:
+class AdaptiveDesign(StopsByRamp):
     """What follows for a task; see :class:`~twostage_servo.control.laws.law.LawDesign`.
 
     Attributes
@@ -96,18 +96,6 @@ class AdaptiveDesign:
         averaged = self._braking_way(top) - top * top / (2.0 * braking)
         rest_s = 0.0 if top <= 0.0 else averaged / top
         return top / rising + cruise + top / braking + rest_s + _SETTLING_TICKS * task.period_s
-
-    def stopping_distance(self, velocity: float, deceleration: float) -> float:
-        """Return how far the plant of the model goes in a stop, in axis unit."""
-        return StopDesign(self.task).distance(velocity, deceleration)
-
-    def certain_stopping_distance(self, velocity: float, deceleration: float) -> float:
-        """Return how far an axis goes at most whose plant is off its model, in axis unit."""
-        return StopDesign(self.task).certain_distance(velocity, deceleration)
-
-    def stopping_time_s(self, velocity: float, deceleration: float) -> float:
-        """Return how long a stop takes, in s: the ramp, the effort rate, and until the rest has died down."""
-        return StopDesign(self.task).ramp_time_s(velocity, deceleration) + self.settling_time_s
 
     def gains(self) -> Mapping[str, float]:
         """Return those of the position stage on a plant that is known, and of its observer."""
