@@ -303,23 +303,25 @@ def test_the_following_error_is_the_minimum_or_proportional_to_the_speed() -> No
     assert deviation_at_trip(100.0) == pytest.approx(20.5, abs=1.5)  # 0.2 s of the largest speed, 102 mm/s
 
 
-@pytest.mark.parametrize("tripped", [False, True])
-def test_a_drive_that_gets_no_commands_while_it_brakes_keeps_its_place_only_where_a_trip_has_said_why(
-    *, tripped: bool
+@pytest.mark.parametrize(
+    ("first", "referenced"), [(TripCode.COMMANDS_DROPPED, True), (TripCode.FOLLOWING_ERROR, False), (None, False)]
+)
+def test_an_axis_that_does_not_brake_keeps_its_place_only_where_the_bus_has_been_seen_to_take_no_commands(
+    first: TripCode | None, *, referenced: bool
 ) -> None:
-    """A bus that takes no more commands leaves the drive at its last effort; the encoder is right."""
+    """They leave the drive at its last effort, and the encoder is right. In any other case it may be wrong."""
     rig = rig_with(innovation_gate=1e3, overspeed=1e6).cruising(2000.0, 100.0, for_s=4.0)
     kept = rig.commands[-1].effort
-    if tripped:
-        rig.axis.raise_trip(TripCode.COMMANDS_DROPPED, "test")
-    else:
+    if first is None:
         rig.axis.stop()
+    else:
+        rig.axis.raise_trip(first, "test")
     for _ in range(60):
         rig.load = rig.commands[-1].effort - kept
         rig.tick()
     assert rig.state() is State.TRIPPED
     assert TripCode.MODEL_MISMATCH in rig.axis.trips
-    assert rig.axis.referenced is tripped
+    assert rig.axis.referenced is referenced
 
 
 GENTLE = {"innovation_gate": 1e3, "overspeed": 1e6, "acceleration": 50.0, "quick_stop_deceleration": 50.0}

@@ -90,13 +90,16 @@ class DrivenStep:
         return Command(effort, enable=True) if machine.state in DRIVEN else NO_EFFORT
 
     def _lacks_commands(self, code: TripCode) -> bool:
-        """Whether a trip says no more than that an axis, which has tripped before, hardly answers its braking.
+        """Whether a trip says no more than that the commands by which the axis should brake do not arrive.
 
-        As where a bus no longer takes the commands: then the drive keeps its effort, and the encoder is right.
+        Where the bus has been seen to take none, the drive keeps its effort: the axis hardly answers, and its encoder
+        is right.
         """
+        first = self._latch.trip
         return (
             code is TripCode.MODEL_MISMATCH
-            and self._latch.trip is not None
+            and first is not None
+            and first.code is TripCode.COMMANDS_DROPPED
             and self._machine.state in BRAKING
             and self._motion.model_monitor.better_factor == LEAST_GAIN
         )
