@@ -15,7 +15,9 @@ from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.trip_latch import TripLatch
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.law import Stage
-from twostage_servo.control.model_monitor.hypotheses import LEAST_GAIN
+
+_ANSWERS = frozenset({TripCode.MODEL_MISMATCH, TripCode.SIGN_REVERSED})
+"""Trips by how the axis answers its effort."""
 
 
 class DrivenStep:
@@ -92,16 +94,15 @@ class DrivenStep:
     def _lacks_commands(self, code: TripCode) -> bool:
         """Whether a trip says no more than that the commands by which the axis should brake do not arrive.
 
-        Where the bus has been seen to take none, the drive keeps its effort: the axis hardly answers, and its encoder
-        is right.
+        Where the bus has been seen to take none, the drive keeps its effort. Compared with the efforts that were meant
+        to act, the axis then seems to answer too little, or the wrong way round; its encoder is right.
         """
         first = self._latch.trip
         return (
-            code is TripCode.MODEL_MISMATCH
+            code in _ANSWERS
             and first is not None
             and first.code is TripCode.COMMANDS_DROPPED
             and self._machine.state in BRAKING
-            and self._motion.model_monitor.better_factor == LEAST_GAIN
         )
 
     def end_braking(self) -> None:

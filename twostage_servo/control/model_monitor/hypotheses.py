@@ -70,9 +70,6 @@ while it should brake. Twice the gain takes as much as a sign: a load that sets 
 helps, looks like it 5 times. Half the gain takes more: while a plant with 30 % less gain and a pole 30 % higher speeds
 up, it explains that up to 23 times better than each accepted plant does."""
 
-LEAST_GAIN: Final = min(other.factor for other in OTHER_GAINS if other.factor > 0.0)
-"""That of an axis that hardly answers."""
-
 CHANGE_FACTORS: Final = (-1.0, 0.0, 0.5, 2.0)
 """How many times as much the encoder counts after a change."""
 
