@@ -228,7 +228,7 @@ def test_an_axis_that_goes_on_with_a_wrong_encoder_is_told(monkeypatch: pytest.M
     soak = armed(soak_of(linear(), monkeypatch))
     soak.axis.move_to(400.0, 100.0)
     ticks(soak, 100)
-    monkeypatch.setattr(TripLatch, "raise_trip", lambda *_: None)  # an axis that notices nothing
+    monkeypatch.setattr(TripLatch, "raise_trip", lambda *_, **__: None)  # an axis that notices nothing
     soak.drive.encoder.fail(0.0, soak.drive.position)
     soak.watch.begin(0.0, soak.drive.position, soak.drive.velocity)
     with pytest.raises(BrokenInvariantError, match=r"encoder frozen since it was moving_speed_stage at 99"):
@@ -287,7 +287,7 @@ def test_a_drive_that_stays_enabled_untold_is_told(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(soak.axis, "check_reset", lambda: None)
     with pytest.raises(BrokenInvariantError, match="a reset would be carried out"):
         ticks(soak, 1)
-    monkeypatch.setattr(TripLatch, "raise_trip", lambda *_: None)
+    monkeypatch.setattr(TripLatch, "raise_trip", lambda *_, **__: None)
     soak.axis.trips.clear()
     with pytest.raises(BrokenInvariantError, match="its trips are none"):
         ticks(soak, 1)
