@@ -3,6 +3,7 @@
 In CI they try the same examples every time, so that a change is judged by what it changes; elsewhere always others.
 """
 
+import gc
 import os
 
 # Before anything imports numpy: threads for matrices of order 3 only wait for each other, and on a busy machine that
@@ -19,6 +20,12 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("twostage-servo")
+
+
+def pytest_collection_finish() -> None:
+    """Keep the thousands of tests themselves out of every search for garbage."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(tryfirst=True)  # before pytest-xdist looks at the groups

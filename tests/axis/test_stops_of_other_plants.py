@@ -27,6 +27,11 @@ REVERSAL_DELAYED = 0.18
 STEPS = 10
 """Steps of the plant in a tick."""
 
+LONGEST_STOP_S = 4.0
+"""Within which every stop has ended, and for how long an axis that has stopped is watched then: what the axis kept of
+its speed, or what the position law makes of it, shows in half a second."""
+AT_REST_S = 0.5
+
 
 class Course(NamedTuple):
     """A stop, from the plant: its speed before, its largest reversal, and how far it went, in axis unit."""
@@ -78,11 +83,13 @@ class Rig:
         assert (self.axis.state, self.axis.trip) == (State.SPEED_STAGE, None)
         speed, start, sign = abs(self.velocity), self.position, 1.0 if velocity > 0.0 else -1.0
         self.axis.stop(quick=quick)
-        slowest = farthest = 0.0
-        for _ in range(round(4.0 / self._period_s)):
+        slowest = farthest = at_rest_s = elapsed_s = 0.0
+        while at_rest_s < AT_REST_S and elapsed_s < LONGEST_STOP_S:
             self.tick()
             slowest = min(slowest, sign * self.velocity)
             farthest = max(farthest, sign * (self.position - start))
+            elapsed_s += self._period_s
+            at_rest_s = at_rest_s + self._period_s if self.axis.state not in BRAKING else 0.0
         assert self.axis.state not in BRAKING
         assert self.axis.trip is None
         return Course(speed, -slowest, farthest)

@@ -204,8 +204,9 @@ def test_a_fault_in_a_stop_begins_while_the_axis_brakes(phase: Phase) -> None:
 # Several axes --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("policy", ["continue", "stop", "quick_stop", "disarm"])
-@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize(
+    ("policy", "axis"), [("continue", "x"), ("stop", "x"), ("quick_stop", "x"), ("disarm", "x"), ("stop", "y")]
+)
 def test_the_others_do_what_the_machine_says(policy: str, axis: str) -> None:
     machine = load_machine(configuration("two_axes"), [f"machine.fault_reaction={policy}"])
     campaign = Campaign(machine, 1, axis)
