@@ -369,6 +369,21 @@ def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_s
     assert soak.watch.check(2.0 * far, 1.0, effort + 1.1 * stall) is not None
 
 
+def test_an_encoder_that_stood_still_is_compared_with_the_effort_at_which_it_did(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Other moves may begin meanwhile, at another effort, until the axis is armed anew."""
+    soak, stall, effort, far = frozen_at_rest(monkeypatch)
+    monkeypatch.setattr(type(soak.axis), "effort", effort - 0.5 * stall)
+    soak.watch.move_asked(0.0, 100.0, at_rest=True)
+    for _ in range(8):
+        assert soak.watch.check(0.0, 1.0, effort + 0.9 * stall) is None
+    assert soak.watch.check(far, 1.0, effort + 0.9 * stall) is None
+    for _ in range(8):
+        assert soak.watch.check(far, 1.0, effort + 1.1 * stall) is None
+    assert soak.watch.check(0.0, 1.0, effort) is not None
+
+
 def test_an_effort_that_was_large_for_less_than_the_stall_time_leaves_an_encoder_untold(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -384,14 +399,17 @@ def test_an_effort_that_was_large_for_less_than_the_stall_time_leaves_an_encoder
     assert soak.watch.check(far, 1.0, effort + 0.9 * stall) is not None
 
 
-@pytest.mark.parametrize(("share", "told"), [(1.98, False), (2.02, True)])
-def test_from_rest_another_scale_shows_at_twice_the_speed_at_which_it_does_in_a_cruise(
-    share: float, *, told: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("tick_ms", "share", "told"),
+    [(10.0, 3.45, False), (10.0, 3.55, True), (20.0, 6.9, False), (20.0, 7.1, True), (5.0, 3.55, True)],
+)
+def test_from_rest_another_scale_shows_at_several_times_the_speed_at_which_it_does_in_a_cruise(
+    tick_ms: float, share: float, *, told: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    soak = armed(soak_of(linear(), monkeypatch))
+    soak = soak_of(configuration(LINEAR, tick_ms, GATES[0]), monkeypatch)
     slowest = slowest_certain_velocity(soak.axis.design)
-    speed = share * certain_speed(soak.axis.design, slowest, 50.0)
-    soak.watch.check(0.0, 50.0, 0.0)
+    speed = share * certain_speed(soak.axis.design, slowest, 1000.0)
+    soak.watch.check(0.0, 1000.0, 0.0)
     far = 10.0 * travel_bound(soak.axis.design, 100.0, 0.5)
     soak.watch.begin(0.5, 0.0, 0.0, 0.8)
     soak.watch.check(0.0, speed, 0.0)

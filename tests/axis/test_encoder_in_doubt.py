@@ -360,6 +360,57 @@ def test_a_change_in_a_cruise_is_certain_from_the_slowest_certain_speed_on_and_n
     assert not certain(0.5 * slowest)
 
 
+@pytest.mark.parametrize(
+    ("period_s", "velocity", "load", "loaded_s", "stopping_s"),
+    [(0.001, 27.7, -3.8, 0.03, 0.05), (0.001, 72.2, -3.77, 0.01, 0.03), (0.005, 29.8, -2.6, 0.01, 0.03)],
+)
+def test_one_that_runs_away_is_told_though_a_load_has_just_changed(
+    period_s: float, velocity: float, load: float, loaded_s: float, stopping_s: float
+) -> None:
+    """The load spoils the evidence of every hypothesis for a while, and an encoder that stands still explains more."""
+    settings = axis_settings(innovation_gate=10.0, following_error_minimum=1e4)
+    rig = AxisRig(Axis(design_axis(settings, period_s), TRAITS), Plant(180.0, 14.0), period_s).cruising(
+        1500.0, velocity, for_s=0.4
+    )
+    rig.load = load
+    rig.seconds(loaded_s)
+    if stopping_s:
+        rig.axis.stop()
+        rig.seconds(stopping_s)
+    place = rig.position
+    rig.sees = lambda position: 2.0 * place - position
+    farthest = 0.0
+    for tick in range(round(0.5 / period_s)):
+        if tick == round(0.06 / period_s):
+            rig.axis.stop(quick=True)
+        rig.tick()
+        if rig.enabled:  # without the drive the load alone moves it
+            farthest = max(farthest, abs(rig.position - place))
+    assert TripCode.SIGN_REVERSED in rig.axis.trips
+    assert farthest <= settings.limits.position_overrun
+
+
+@pytest.mark.parametrize("tick_ms", [1.0, 2.0, 10.0, 20.0])
+@pytest.mark.parametrize(("gain", "pole"), [(1.0, 1.0), (1.1, 1.17), (0.89, 1.14), (0.75, 1.0), (1.0, 1.25)])
+def test_from_that_speed_on_it_is_certain_on_any_plant_that_is_accepted(
+    tick_ms: float, gain: float, pole: float
+) -> None:
+    """On the model's own plant another gain tells half a scale from half that speed on; on others nothing did."""
+    config = load(None, [f"service.tick_ms={tick_ms}", "axis.observer.measurement_variance=0.1"]).config
+    period_s = 1e-3 * tick_ms
+    design = design_axis(config.axis, period_s)
+    velocity = 1.02 * slowest_certain_velocity(design)
+    model = config.axis.plant
+    plant = Plant(gain * model.gain, pole * model.pole)
+    rig = AxisRig(Axis(design, TRAITS), plant, period_s).cruising(1000.0, velocity)
+    assert rig.state() is State.SPEED_STAGE
+    changed_at = rig.position
+    rig.sees = lambda position: changed_at + 0.5 * (position - changed_at)
+    rig.seconds(0.2)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.MODEL_MISMATCH
+
+
 def test_where_a_change_is_certain_at_no_speed_there_is_no_slowest_one() -> None:
     assert slowest_certain_velocity(design_axis(noisy(), PERIOD_S)) == math.inf
 

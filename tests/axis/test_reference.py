@@ -236,6 +236,24 @@ def test_a_spike_is_not_taken_for_where_the_axis_stands(height: float, *, armed:
     assert rig.axis.drive.position == pytest.approx(0.0, abs=0.01)
 
 
+def test_nor_is_one_as_the_axis_is_armed() -> None:
+    """It begins to hold a tick later, from a sample that is believed."""
+    rig = homed()
+    rig.seconds(0.05)
+    rig.axis.arm()
+    rig.tick()
+    rig.sample += 30.0
+    rig.tick()
+    assert rig.state() is State.ARMING
+    with pytest.raises(Refused):
+        rig.axis.set_position(0.0)
+    rig.tick()
+    assert rig.state() is State.HOLDING
+    rig.axis.set_position(0.0)
+    assert not reason(rig.seconds(0.1))
+    assert rig.axis.drive.position == pytest.approx(0.0, abs=0.01)
+
+
 def test_after_a_jump_the_place_can_be_told() -> None:
     rig = homed().cruising(target=700.0)
     rig.sees = lambda position: position + 30.0

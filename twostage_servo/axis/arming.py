@@ -118,7 +118,8 @@ class Arming:
         """Check a tick of waiting."""
         self._ticks += 1
         ready = self._drive.enabled is not False and self._drive.fresh and self._ticks > 1
-        if ready and self._motion.knows_speed:
+        # Not on a sample in doubt: what holds from here on takes the latest one for where the axis is.
+        if ready and self._motion.knows_speed and not self._motion.doubts_sample:
             self._hold()
         elif self._ticks > self._ticks_allowed:
             if self._drive.enabled is False:

@@ -80,10 +80,15 @@ def detections(design: AxisDesign) -> list[Detection]:
 
 
 def slowest_certain_velocity(design: AxisDesign) -> float:
-    """Return the speed (axis unit/s) from which on each change in a cruise is told, found by halving."""
+    """Return the speed (axis unit/s) from which on each change in a cruise is told, found by halving.
+
+    On the model's own plant, and slower ones may be told of that. What tells a change of every plant that is accepted
+    is that it comes as a jump.
+    """
     fastest = design.settings.limits.velocity
+    jumps_from = _Run(design, fastest).least_jump_velocity
     slowest, velocity = math.inf, fastest
-    while velocity > _SLOWEST_SHARE * fastest and all(
+    while velocity > max(_SLOWEST_SHARE * fastest, jumps_from) and all(
         _detect(design, change, "cruising", velocity).certain for change in CHANGES
     ):
         slowest, velocity = velocity, 0.5 * velocity
@@ -149,6 +154,10 @@ class _Run:
         self._motion.start(cruise_effort)
         self._motion.set_target(2.0 * velocity * (_LONGEST_S + _SETTLING_TICKS * design.period_s) + 1.0, velocity)
         self._state = State.SPEED_STAGE
+
+    @property
+    def least_jump_velocity(self) -> float:
+        return self._motion.model_monitor.least_jump_velocity
 
     def change(self, factor: float) -> None:
         self._factor, self._changed_at = factor, self.position

@@ -56,6 +56,12 @@ ANSWER_SURPRISE: Final = 4.0
 effort alone, and the surprise that this takes, as a multiple of the one below which nothing is decided. A load that
 turns the axis round against its effort surprises as well, but by less in that time."""
 
+RUNAWAY_S: Final = 0.14
+RUNAWAY_SURPRISE: Final = 10.0
+"""Time after which an encoder that turned round needs no more evidence than that ratio, and the surprise that this
+takes, as such a multiple. A load that changed just before spoils the evidence for as long as the axis runs away ever
+faster. A load alone of up to 15 V, three times what acts against it, looks the same for up to 100 ms."""
+
 PATIENCE: Final = 3.0
 """By how much, as a multiple of that surprise squared, an encoder that turned round may explain *less* than the
 accepted plants without beginning anew. Near standstill one or the other of those explains each of the first samples,
@@ -114,7 +120,7 @@ class EncoderChange:
     __slots__ = (
         "_answer_ticks", "_disturbance", "_forgetting", "_has_explained_less", "_has_set_out", "_in_part",
         "_jump_share", "_least_ticks", "_missing_friction", "_nominal_step", "_observer", "_patience", "_position",
-        "_step", "_truth", "_velocity", "accepted_sum", "factor", "own_sum", "ticks",
+        "_runaway_ticks", "_step", "_truth", "_velocity", "accepted_sum", "factor", "own_sum", "ticks",
     )  # fmt: skip
 
     def __init__(self, factor: float, deviation: Deviation, model: Plant, period_s: float, noise: NoiseModel) -> None:
@@ -134,6 +140,7 @@ class EncoderChange:
         self._jump_share = JUMP_SHARE if factor else 2.0 * JUMP_SHARE
         self._least_ticks = CHANGE_TICKS if factor else samples_in(STANDING_S, period_s, STANDING_TICKS)
         self._answer_ticks = samples_in(ANSWER_S, period_s, STANDING_TICKS) if factor < 0.0 else inf
+        self._runaway_ticks = samples_in(RUNAWAY_S, period_s, STANDING_TICKS) if factor < 0.0 else inf
         self._patience = PATIENCE if factor < 0.0 else 0.0
         self.begin(self._truth)
 
@@ -234,6 +241,17 @@ class EncoderChange:
         """Return by how much it explains more than the accepted plants, in (axis unit)²."""
         return self.accepted_sum - self.own_sum
 
+    def jump_velocity(self, least_at_rest: float, date_share_s: float) -> float:
+        """Return the speed (axis unit/s) from which on the change is a jump.
+
+        Parameters
+        ----------
+        least_at_rest, date_share_s
+            The surprise that it takes to decide anything, in axis unit, and what is added to it for each axis unit/s.
+        """
+        shown_s = abs(self._nominal_step) - self._jump_share * date_share_s
+        return self._jump_share * least_at_rest / shown_s if shown_s > 0.0 else inf
+
     def is_certain(self, least: float, window_sum: float, noise_square: float) -> bool:
         """Whether nothing else explains the samples, and the change has been a jump or has been answered for long.
 
@@ -263,9 +281,12 @@ class EncoderChange:
         noise_square
             What a sample's noise adds to that, as it was before.
         """
+        enough = RUNAWAY_SURPRISE * least
+        runs_away = self.ticks >= self._runaway_ticks and self.accepted_sum > enough * enough
+        needed = CHANGE_RATIO if runs_away else CHANGE_EVIDENCE
         return (
             self.evidence() > least * least
-            and self.accepted_sum > CHANGE_EVIDENCE * (self.own_sum - self._noise_sum(noise_square))
+            and self.accepted_sum > needed * (self.own_sum - self._noise_sum(noise_square))
             and self.accepted_sum > CHANGE_RATIO * self.own_sum
             and self.accepted_sum > CHANGE_SHARE * window_sum
         )

@@ -235,9 +235,8 @@ class ModelMonitor:
         """
         if self.surprise <= self._least:
             return None
-        likeliest = max(self._changes, key=EncoderChange.evidence)
-        if self._certain(likeliest.factor):
-            return likeliest.factor
+        if certain := [change for change in self._changes if self._is_certain(change)]:
+            return max(certain, key=EncoderChange.evidence).factor
         if self._reversal.is_certain(self._least, STILL_EVIDENCE):
             return -1.0
         needed = [other.evidence * total for other, total in zip(OTHER_GAINS, self._sums, strict=True)]
@@ -247,13 +246,16 @@ class ModelMonitor:
             return None
         return OTHER_GAINS[best].factor if self._sum > least else None
 
-    def _certain(self, factor: float) -> list[EncoderChange]:
-        """Return the changes to a factor that nothing else explains."""
-        return [
-            change
-            for change in self._changes
-            if change.factor == factor and change.is_certain(self._least, self._sum, self._noise_square)
-        ]
+    @property
+    def least_jump_velocity(self) -> float:
+        """Speed (axis unit/s) from which on any of the changes that it supposes is a jump, of every plant supposed.
+
+        Infinity where late samples hide as much at any speed.
+        """
+        return max(change.jump_velocity(self._least_at_rest, self._date_share_s) for change in self._changes)
+
+    def _is_certain(self, change: EncoderChange) -> bool:
+        return change.is_certain(self._least, self._sum, self._noise_square)
 
     @property
     def seems_to_stand(self) -> bool:
@@ -278,7 +280,7 @@ class ModelMonitor:
         """
         if factor == 0.0:
             return next(change for change in self._changes if change.factor == 0.0).reckon()
-        if changes := self._certain(factor):
+        if changes := [change for change in self._changes if change.factor == factor and self._is_certain(change)]:
             # What less than it takes to decide anything does not tell apart is likelier of the model.
             enough = max(min(change.own_sum for change in changes), self._least * self._least)
             return next(change for change in changes if change.own_sum <= enough).reckon()
