@@ -392,9 +392,7 @@ def test_one_that_runs_away_is_told_though_a_load_has_just_changed(
 
 @pytest.mark.parametrize("tick_ms", [1.0, 2.0, 10.0, 20.0])
 @pytest.mark.parametrize(("gain", "pole"), [(1.0, 1.0), (1.1, 1.17), (0.89, 1.14), (0.75, 1.0), (1.0, 1.25)])
-def test_from_that_speed_on_it_is_certain_on_any_plant_that_is_accepted(
-    tick_ms: float, gain: float, pole: float
-) -> None:
+def test_from_that_speed_on_it_is_certain_on_each_accepted_plant(tick_ms: float, gain: float, pole: float) -> None:
     """On the model's own plant another gain tells half a scale from half that speed on; on others nothing did."""
     config = load(None, [f"service.tick_ms={tick_ms}", "axis.observer.measurement_variance=0.1"]).config
     period_s = 1e-3 * tick_ms
