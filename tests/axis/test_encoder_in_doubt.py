@@ -360,6 +360,21 @@ def test_a_change_in_a_cruise_is_certain_from_the_slowest_certain_speed_on_and_n
     assert not certain(0.5 * slowest)
 
 
+@pytest.mark.parametrize("period_s", [0.002, 0.01])
+@pytest.mark.parametrize("after_s", [0.1, 0.2, 0.3])
+def test_a_change_soon_after_a_gap_is_told_as_soon_as_any(period_s: float, after_s: float) -> None:
+    """The model was not tested until the estimate was right to a thousandth of the gate: for half a second and more."""
+    settings = axis_settings(missed_ticks=100, stale_feedback_ms=200.0, innovation_gate=5.0)
+    rig = AxisRig(Axis(design_axis(settings, period_s), TRAITS), period_s=period_s).cruising(1500.0)
+    rig.tick(missed=round(0.05 / period_s))
+    rig.seconds(after_s)
+    place = rig.position
+    rig.sees = lambda position: 2.0 * place - position
+    rig.seconds(0.06)
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.SIGN_REVERSED
+
+
 @pytest.mark.parametrize(
     ("period_s", "velocity", "load", "loaded_s", "stopping_s"),
     [(0.001, 27.7, -3.8, 0.03, 0.05), (0.001, 72.2, -3.77, 0.01, 0.03), (0.005, 29.8, -2.6, 0.01, 0.03)],

@@ -20,6 +20,10 @@ _LONG_GAP_MS = 20.0
 """Time of missed ticks, in ms, after which the model is tested afresh, once the estimate is right again: what they hid
 would count as evidence against it."""
 
+_NO_SURPRISE = 0.25
+"""Share of the surprise below which nothing is decided, below which what a gap has left over counts as none. An estimate
+that is right to a thousandth of the innovation gate takes up to a second, in which the model would not be tested."""
+
 _LONGEST_PREDICTION_MS = 1000.0
 """Time for which missed ticks are predicted one by one: a tick after a suspension of hours must not take seconds."""
 
@@ -190,7 +194,7 @@ class Motion:
             self.model_monitor.predict(before)
         elif self._skipped >= self._long_gap_ticks:
             self.model_monitor.start(self.law.observer, before)
-            if not self._gap.allowance:
+            if self._gap.surprise <= _NO_SURPRISE * self.model_monitor.least:
                 self._skipped = 0
         else:
             self._skipped = 0

@@ -41,6 +41,11 @@ class SampleGap:
         self._hidden_velocity = 0.0  # by how much the estimate may have been off before the gap, in axis unit/s
         self.close()
 
+    @property
+    def surprise(self) -> float:
+        """By how much the next sample may still surprise because of the gap, in axis unit."""
+        return max(self.allowance, abs(self._error.velocity) * self._a12) if self._open else 0.0
+
     def close(self) -> None:
         """Forget the gap: the estimate begins afresh."""
         self._open = False
@@ -84,7 +89,7 @@ class SampleGap:
         error = self._error
         error.update(0.0, 0.0)
         self.allowance = abs(error.position)
-        if max(self.allowance, abs(error.velocity) * self._a12) <= self._least:
+        if self.surprise <= self._least:
             self.close()
 
     def _begin(self, hidden_velocity: float) -> None:

@@ -247,6 +247,11 @@ class ModelMonitor:
         return OTHER_GAINS[best].factor if self._sum > least else None
 
     @property
+    def least(self) -> float:
+        """Surprise below which nothing is decided, in axis unit."""
+        return self._least
+
+    @property
     def least_jump_velocity(self) -> float:
         """Speed (axis unit/s) from which on any of the changes that it supposes is a jump, of every plant supposed.
 
