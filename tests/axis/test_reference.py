@@ -254,6 +254,25 @@ def test_nor_is_one_as_the_axis_is_armed() -> None:
     assert rig.axis.drive.position == pytest.approx(0.0, abs=0.01)
 
 
+@pytest.mark.parametrize("armed", [True, False])
+def test_the_place_of_an_axis_that_is_not_seen_now_cannot_be_told(*, armed: bool) -> None:
+    """Its last sample is not stale yet; a load may have moved it since."""
+    rig = homed()
+    if armed:
+        rig.armed()
+    rig.silent = True
+    rig.tick()
+    rig.axis.set_position(0.0)
+    rig.tick()
+    with pytest.raises(Refused, match="not been seen in the last ticks: try again") as refused:
+        rig.axis.set_position(1.0)
+    assert refused.value.code == "busy"
+    rig.silent = False
+    rig.tick()
+    rig.axis.set_position(1.0)
+    assert rig.axis.drive.position == 1.0
+
+
 def test_after_a_jump_the_place_can_be_told() -> None:
     rig = homed().cruising(target=700.0)
     rig.sees = lambda position: position + 30.0

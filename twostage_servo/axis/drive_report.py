@@ -13,6 +13,9 @@ from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.axis.unwrapping import Unwrapping
 
+_RECENT_TICKS = 1
+"""Age of a sample that still says where the axis is. One that is sent at half the tick's rate is never older."""
+
 
 class DriveReport:
     """Keeps the newest fresh feedback of the drive, in positions that count from the axis' own origin.
@@ -235,6 +238,12 @@ class DriveReport:
         """Whether the last fresh feedback is as old as the limit, or there has been none."""
         age = self.monitor.ticks_since_fresh
         return age is None or age >= self._stale_ticks
+
+    @property
+    def is_recent(self) -> bool:
+        """Whether the axis was seen in this tick or the one before: what it has done since cannot be much."""
+        age = self.monitor.ticks_since_fresh
+        return age is not None and age <= _RECENT_TICKS
 
     def blocks(self, direction: float) -> str | None:
         """Return the name of the limit switch that forbids motion in a direction (its sign counts), or None."""

@@ -21,8 +21,8 @@ _LONG_GAP_MS = 20.0
 would count as evidence against it."""
 
 _NO_SURPRISE = 0.25
-"""Share of the surprise below which nothing is decided, below which what a gap has left over counts as none. An estimate
-that is right to a thousandth of the innovation gate takes up to a second, in which the model would not be tested."""
+"""Share of the surprise below which nothing is decided, below which what a gap has left over counts as none. An
+estimate that is right to a thousandth of the innovation gate takes up to a second, all of it without a test."""
 
 _LONGEST_PREDICTION_MS = 1000.0
 """Time for which missed ticks are predicted one by one: a tick after a suspension of hours must not take seconds."""

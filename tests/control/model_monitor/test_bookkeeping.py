@@ -201,6 +201,7 @@ def with_changes(**evidence: tuple[float, ...]) -> ModelMonitor:
         for change, total in zip(found, sums, strict=False):
             change.ticks, change.accepted_sum = 9, total
     test.surprise, test._sum, test._still_sum = 1.0, 1.0, 1e9
+    test._is_lasting = True
     test._sums = [1.0] * len(OTHER_GAINS)
     return test
 

@@ -29,6 +29,7 @@ def verdict(surprise: float, shares: dict[float, float]) -> float | None:
     """Return what is told of a surprise, and of the share of it that another gain leaves unexplained."""
     test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.surprise, test._sum, test._still_sum = surprise, surprise**2, 1e9
+    test._is_lasting = True
     test._sums = unexplained(shares, surprise)
     return test.better_factor
 
@@ -72,9 +73,20 @@ def test_a_sign_and_twice_the_scale_have_to_be_eight_times_better_half_of_it_thi
     assert verdict(2.0, shares) == expected
 
 
+def test_one_sample_decides_nothing() -> None:
+    """Where the window has only just begun, whatever a spike happens to fit would be told. It comes back."""
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
+    test.start(at_rest(40.0))
+    for surprised, told in ((False, None), (True, None), (True, -1.0)):
+        test.update(test._gains[0].position, 24.0, at_rest(40.0), 0.0)
+        assert (test.surprise > test.least) is surprised
+        assert test.better_factor == told
+
+
 def test_what_an_encoder_that_stands_still_explains_as_well_is_no_other_gain() -> None:
     test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.surprise, test._sum, test._sums = 1.0, 1.0, unexplained({0.45: 0.01})
+    test._is_lasting = True
     for still, told in ((0.0399, None), (0.0401, 0.45)):
         test._still_sum = still
         assert test.better_factor == told

@@ -60,6 +60,11 @@ OPENING_SHARE: Final = 0.4
 """Share of the surprise below which nothing is decided, from which it is: what is less may be the model's error."""
 
 
+LASTING_SHARE: Final = 0.25
+"""Share of that surprise which another gain has to have caused before the latest sample. One sample is a spike, and
+comes back with the next; and where the window has only just begun, it happens to fit one gain or another."""
+
+
 class ModelMonitor:
     """Compares the model with the hypotheses; give it each tick once.
 
@@ -84,8 +89,8 @@ class ModelMonitor:
 
     __slots__ = (
         "_accepted", "_accepted_sums", "_changes", "_date_share_s", "_forgetting", "_gains", "_innovation",
-        "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins", "_reversal", "_samples",
-        "_still_sum", "_sum", "_sums", "is_sure", "surprise",
+        "_is_lasting", "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins", "_reversal",
+        "_samples", "_still_sum", "_sum", "_sums", "is_sure", "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
@@ -107,6 +112,7 @@ class ModelMonitor:
         self._least = self._least_at_rest = NOISE_SHARE * noise.measurement_variance**0.5
         self._date_share_s = DATE_SHARE * date_error_s
         self.is_sure = True
+        self._is_lasting = False
         self._samples = [0.0] * max(1, round(NOMINAL_S / period_s))  # of the last nominal tick
         self._next = 0
         self._still_sum = 0.0
@@ -213,6 +219,7 @@ class ModelMonitor:
             sums[index] = kept * sums[index] + square
             if square < least_square:  # noqa: PLR1730 - `min` takes longer, ten times a tick
                 least_square = square
+        self._is_lasting = self.surprise > LASTING_SHARE * self._least
         self._sum = kept * self._sum + least_square
         self.surprise = self._sum**0.5
         return least_square
@@ -237,6 +244,8 @@ class ModelMonitor:
             return None
         if certain := [change for change in self._changes if self._is_certain(change)]:
             return max(certain, key=EncoderChange.evidence).factor
+        if not self._is_lasting:
+            return None
         if self._reversal.is_certain(self._least, STILL_EVIDENCE):
             return -1.0
         needed = [other.evidence * total for other, total in zip(OTHER_GAINS, self._sums, strict=True)]
