@@ -305,6 +305,20 @@ def test_a_motion_while_disabled_that_is_told_to_nobody_is_told(monkeypatch: pyt
         ticks(soak, 1)
 
 
+def test_a_hand_that_moves_an_axis_whose_drive_creeps_has_not_moved_it_by_that_drive(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    soak.axis.disarm()
+    ticks(soak, 100)
+    soak.drive.creeping, soak.drive.creeping_until = 3.0, 10_000
+    monkeypatch.setattr(type(soak.axis.disabled), "moved", None)
+    ticks(soak, 1)
+    soak.drive.place(soak.drive.position + 500.0)
+    soak.drive_watch.moved_by_hand(soak.drive.position - 500.0, soak.drive.position)
+    ticks(soak, 1)
+
+
 def way_told(soak: AxisSoak) -> float:
     return abs(soak.axis.disabled.moved or 0.0)
 

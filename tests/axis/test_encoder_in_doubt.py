@@ -360,6 +360,27 @@ def test_a_change_in_a_cruise_is_certain_from_the_slowest_certain_speed_on_and_n
     assert not certain(0.5 * slowest)
 
 
+@pytest.mark.parametrize(
+    ("period_s", "gain", "pole", "velocity", "load", "loaded_s"),
+    [(0.01, 1.0, 1.0, 100.0, 8.0, 0.1), (0.002, 1.2, 0.9, 150.0, 5.0, 0.2)],
+)
+def test_a_scale_that_changes_soon_after_a_load_is_told_where_nothing_else_explains_it(
+    period_s: float, gain: float, pole: float, velocity: float, load: float, loaded_s: float
+) -> None:
+    """What the load surprised by hid it: the first one was never told, nor the second in a tenth of a second."""
+    settings = axis_settings(innovation_gate=10.0, following_error_minimum=1e4)
+    plant = Plant(gain * 180.0, pole * 14.0)
+    rig = AxisRig(Axis(design_axis(settings, period_s), TRAITS), plant, period_s).cruising(1500.0, velocity)
+    rig.load = load
+    rig.seconds(loaded_s)
+    place = rig.position
+    rig.sees = lambda position: place + 0.5 * (position - place)
+    for _ in range(25):
+        rig.tick()
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.MODEL_MISMATCH
+
+
 @pytest.mark.parametrize("period_s", [0.002, 0.01])
 @pytest.mark.parametrize("after_s", [0.1, 0.2, 0.3])
 def test_a_change_soon_after_a_gap_is_told_as_soon_as_any(period_s: float, after_s: float) -> None:

@@ -62,7 +62,7 @@ class AxisSoak:
         self.invariants = Invariants(self.axis)
         self.watch = EncoderWatch(self.axis)
         self.drive_watch = DriveWatch(self.axis, self.drive)
-        self.operator = OperatorModel(self.axis, self.drive, self.watch, random)
+        self.operator = OperatorModel(self.axis, self.drive, self.watch, self.drive_watch, random)
         self.trips = self.encoder_faults = 0
         self._tick = 0
         self._pace_ticks = 100.0

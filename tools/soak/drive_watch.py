@@ -61,6 +61,11 @@ class DriveWatch:
         self._anchor = None
         self._ticks_heard = 0
 
+    def moved_by_hand(self, before: float, after: float) -> None:
+        """Take notice that somebody has moved the axis from a true place to another (axis unit): not its drive did."""
+        if self._anchor is not None:
+            self._anchor += after - before
+
     def check(self, *, reported: bool) -> str | None:
         """Check a tick in which the drive has reported, or not; return what is wrong, or None."""
         axis, drive = self._axis, self._drive

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from random import Random
 
 from tools.soak.drive_model import DriveModel
+from tools.soak.drive_watch import DriveWatch
 from tools.soak.encoder_watch import EncoderWatch
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.moves import MoveOutcome
@@ -20,8 +21,8 @@ class OperatorModel:
 
     Parameters
     ----------
-    axis, drive, watch
-        The axis, its drive, and what watches its encoder.
+    axis, drive, watch, drive_watch
+        The axis, its drive, and what watches its encoder and its drive.
     random
         Of what is asked.
 
@@ -31,10 +32,13 @@ class OperatorModel:
         What was asked so far, what of it was refused, and the moves that were reached.
     """
 
-    def __init__(self, axis: Axis, drive: DriveModel, watch: EncoderWatch, random: Random) -> None:
+    def __init__(
+        self, axis: Axis, drive: DriveModel, watch: EncoderWatch, drive_watch: DriveWatch, random: Random
+    ) -> None:
         self._axis = axis
         self._drive = drive
         self._watch = watch
+        self._drive_watch = drive_watch
         self._random = random
         self._homes = axis.settings.homing.method != "set_here"
         self.requests = self.refusals = self.moves_reached = 0
@@ -84,6 +88,7 @@ class OperatorModel:
             before = drive.position
             drive.place(0.9 * math.copysign(limits.position_maximum, before))
             self._watch.moved_by_hand(before, drive.position)
+            self._drive_watch.moved_by_hand(before, drive.position)
         return moves
 
     def _say_where(self) -> None:

@@ -50,6 +50,13 @@ CHANGE_SHARE: Final = 0.9
 """Share of all surprise in the window that has to have come since the change: it is told only against an estimate that
 was right before. A load that has just stepped makes an estimate that is not."""
 
+BEYOND_DOUBT: Final = 300.0
+BEYOND_DOUBT_TICKS: Final = 6
+BEYOND_DOUBT_SURPRISE: Final = 3.0
+"""How many times smaller the sum of squares of a change has to be, with noise and all, in how many samples, and the
+surprise that this takes, as a multiple of the one below which nothing is decided, to be told against any estimate. On
+500 healthy axes under heavy loads it was 108 times smaller at most, and 35 times but for one of them."""
+
 ANSWER_S: Final = 0.05
 ANSWER_SURPRISE: Final = 4.0
 """Time after which an encoder that turned round near standstill, where nothing jumps, is told by the answer to the
@@ -288,7 +295,15 @@ class EncoderChange:
             self.evidence() > least * least
             and self.accepted_sum > needed * (self.own_sum - self._noise_sum(noise_square))
             and self.accepted_sum > CHANGE_RATIO * self.own_sum
-            and self.accepted_sum > CHANGE_SHARE * window_sum
+            and (self.accepted_sum > CHANGE_SHARE * window_sum or self._is_beyond_doubt(least))
+        )
+
+    def _is_beyond_doubt(self, least: float) -> bool:
+        enough = BEYOND_DOUBT_SURPRISE * least
+        return (
+            self.ticks >= BEYOND_DOUBT_TICKS
+            and self.evidence() > enough * enough
+            and self.accepted_sum > BEYOND_DOUBT * self.own_sum
         )
 
     def _noise_sum(self, noise_square: float) -> float:

@@ -109,7 +109,8 @@ class ModelMonitor:
         self._changes = [EncoderChange(factor, ACCEPTED[i], plant, period_s, noise) for factor, i in of_plants]
         # The law's own observer is the estimate of the model; it may be another one from tick to tick.
         self._origins = [self._accepted[index][0] if index else None for _, index in of_plants]
-        self._least = self._least_at_rest = NOISE_SHARE * noise.measurement_variance**0.5
+        self._least: float = NOISE_SHARE * noise.measurement_variance**0.5
+        self._least_at_rest = self._least
         self._date_share_s = DATE_SHARE * date_error_s
         self.is_sure = True
         self._is_lasting = False
