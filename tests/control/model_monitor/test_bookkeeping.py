@@ -199,7 +199,7 @@ def with_changes(**evidence: tuple[float, ...]) -> ModelMonitor:
     for name, sums in evidence.items():
         found = [change for change in test._changes if change.factor == factors[name]]
         for change, total in zip(found, sums, strict=False):
-            change.ticks, change.accepted_sum = 9, total
+            change.ticks, change.accepted_sum = 5, total
     test.surprise, test._sum, test._still_sum = 1.0, 1.0, 1e9
     test._is_lasting = True
     test._sums = [1.0] * len(OTHER_GAINS)
@@ -221,6 +221,26 @@ def test_the_change_that_explains_most_is_told(evidence: dict[str, tuple[float, 
     test = with_changes(**evidence)
     assert test.better_factor == told
     assert test.seems_to_stand is (told == 0.0)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "own", "accepted", "told"),
+    [
+        (6, 1.66e-3, 0.5, 0.5),
+        (5, 1.66e-3, 0.5, None),
+        (6, 1.67e-3, 0.5, None),
+        (6, 0.0, 0.142, 0.5),
+        (6, 0.0, 0.140, None),
+    ],
+)
+def test_a_change_that_is_300_times_better_in_six_samples_needs_no_estimate_that_was_right_before(
+    ticks: int, own: float, accepted: float, told: float | None
+) -> None:
+    """And three times the surprise below which nothing is decided: 0.375 mm, or 0.1406 mm² of evidence."""
+    test = with_changes(half=(accepted,))
+    change = next(change for change in test._changes if change.factor == 0.5)
+    change.ticks, change.own_sum = ticks, own
+    assert test.better_factor == told
 
 
 def test_a_change_of_the_encoder_comes_before_another_gain_and_needs_more_surprise_than_the_noise() -> None:
