@@ -5,10 +5,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
+from scipy.linalg import solve_discrete_are
 
 from twostage_servo.control.laws.adaptive.placement import Pair, Poles, feedback_gains, observer_gain
+from twostage_servo.control.laws.adaptive.rules import NOISY_POLES, QUIET_POLES
 from twostage_servo.control.observer import extended_model
-from twostage_servo.control.plant import Plant
+from twostage_servo.control.plant import DiscretePlant, Plant
+
+PLANT = Plant(180.0, 14.0).discretise(0.01)
 
 plants = st.builds(
     lambda gain, sign, pole, period_s: Plant(sign * gain, pole / period_s).discretise(period_s),
@@ -61,3 +66,54 @@ def test_poles_to_a_power_are_the_powers_of_the_poles(pair: Pair, exponent: floa
     powers = sorted((np.power(complex(pole), exponent) for pole in wanted), key=lambda pole: (pole.real, pole.imag))
     found = sorted((complex(pole) for pole in roots(slower.feedback)), key=lambda pole: (pole.real, pole.imag))
     assert found == pytest.approx(powers, abs=1e-9)
+
+
+# Kalman filters that have these poles ---------------------------------------------------------------------------------
+
+
+def process_noise(plant: DiscretePlant, poles: Poles) -> tuple[list[float], float]:
+    """Return the independent variances that would give the poles, and the least of N on the unit circle.
+
+    Both over the measurement variance; N is ``s D_o(z) D_o(1/z) - D(z) D(1/z)`` of docs/adaptive-law.md. Its terms in
+    z³ cancel, and each state's noise contributes ``|C adj(zI - A_o) e_i|²``: three equations for three variances.
+    """
+    a12, a22, b1, b2 = plant.a12, plant.a22, plant.b1, plant.b2
+    pair = poles.observer
+    closed = np.polymul([1.0, -poles.single], [1.0, -2.0 * pair.real, pair.real**2 + pair.square])
+    opened = np.polymul([1.0, -2.0, 1.0], [1.0, -a22])
+    scale = opened[-1] / closed[-1]
+
+    def spectrum(polynomial: ArrayLike) -> list[float]:
+        polynomial = np.asarray(polynomial)
+        return [float(np.dot(polynomial[lag:], polynomial[: len(polynomial) - lag])) for lag in range(3)]
+
+    needed = [scale * own - free for own, free in zip(spectrum(closed), spectrum(opened), strict=True)]
+    numerators = (
+        np.polymul([1.0, -1.0], [1.0, -a22]),
+        np.array([0.0, a12, -a12]),
+        np.array([0.0, b1, a12 * b2 - b1 * a22]),
+    )
+    variances = np.linalg.solve(np.array([spectrum(one) for one in numerators]).T, needed)
+    circle = np.exp(1j * np.linspace(0.0, np.pi, 20_001))
+    least = np.min(scale * abs(np.polyval(closed, circle)) ** 2 - abs(np.polyval(opened, circle)) ** 2)
+    return [float(value) for value in variances], float(least)
+
+
+def test_the_poles_of_a_noisy_encoder_are_those_of_a_kalman_filter_with_independent_noises() -> None:
+    variances, _ = process_noise(PLANT, NOISY_POLES)
+    assert variances == pytest.approx([8.92e-3, 63.1, 0.621], rel=1e-3)  # as the documentation says
+    transition, _, measured = extended_model(PLANT, 1.0)
+    covariance = solve_discrete_are(transition.T, measured.T, np.diag(variances), np.eye(1))
+    gain = transition @ covariance @ measured.T / (measured @ covariance @ measured.T + 1.0)
+    assert gain.ravel() == pytest.approx(observer_gain(PLANT, NOISY_POLES.single, NOISY_POLES.observer), rel=1e-9)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 0.75, 0.4])
+def test_those_of_a_quiet_one_take_correlated_noises(exponent: float) -> None:
+    variances, least = process_noise(PLANT, QUIET_POLES.slower(exponent))
+    assert min(variances) < 0.0 < least
+
+
+def test_the_slower_ones_of_a_noisy_encoder_are_no_kalman_filters() -> None:
+    _, least = process_noise(PLANT, NOISY_POLES.slower(0.4))
+    assert least < 0.0

@@ -1,7 +1,7 @@
 """Gains from closed-loop poles, in closed form: a model that has just been identified is taken on within its tick.
 
-The Riccati equation (28) gives the same gains for some noise intensities. Poles are
-given in z, so they mean the same share of a tick on every tick.
+Which process noise makes a Kalman filter of them, or why none does, is in docs/adaptive-law.md. Poles are given in z,
+so they mean the same share of a tick on every tick.
 """
 
 from math import atan2, cos, hypot, sin, sqrt
