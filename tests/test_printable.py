@@ -21,7 +21,10 @@ from twostage_servo.api.status import (
     BusStatus,
     DriveStatus,
     FrameStatus,
+    IdentifiedStatus,
     InputStatus,
+    LawStatus,
+    LoadStatus,
     ServiceStatus,
     Status,
     TickStatus,
@@ -136,6 +139,12 @@ def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -
             **counts, rejected_by_reason={}, errors_by_kind={}, age_us=None, feedback_to_command_us=None
         ),
         bus=BusStatus(channel=text, open=False, error=text, drive_state=None, controller=text, error_counters=None),
+        law=LawStatus(
+            type=text, accepted=False,
+            identified=IdentifiedStatus(
+                gain=1.0, pole=1.0, delay_ticks=1, load=LoadStatus(forward=1.0, backward=None), moves=1
+            ),
+        ),
     )  # fmt: skip
     service = ServiceStatus(
         version=text, pid=1, uptime_s=0.0, authority=AuthorityStatus(holder=text), realtime=None,

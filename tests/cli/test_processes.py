@@ -390,7 +390,20 @@ def test_a_second_service_at_the_same_socket_is_refused(machine: Machine) -> Non
 
 
 def test_without_a_service_every_verb_says_so(machine: Machine) -> None:
-    for verb in ("status", "arm", "move 1", "jog 5", "home", "watch", "stop", "reset", "disarm", "release", "reload"):
+    for verb in (
+        "status",
+        "arm",
+        "move 1",
+        "jog 5",
+        "home",
+        "watch",
+        "stop",
+        "reset",
+        "disarm",
+        "forget",
+        "release",
+        "reload",
+    ):
         error = machine.ask(*verb.split(), exit_code=4)["error"]
         assert "is the service running?" in error["message"]
 

@@ -32,6 +32,7 @@ OF_AN_AXIS: dict[str, Verb] = {
     "move": lambda client: client.move(1.0),
     "home": lambda client: client.home(2.0),
     "reset": lambda client: client.reset(),
+    "forget": lambda client: client.forget(),
 }
 OF_ALL: dict[str, Verb] = {
     "release": lambda client: client.release(),

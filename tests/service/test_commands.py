@@ -119,6 +119,7 @@ def test_what_concerns_one_axis_goes_to_the_one_that_is_named_or_is_refused(
         ({"op": "disarm"}, [("disarm",)]),
         ({"op": "arm"}, [("check_arming",), ("arm",)]),
         ({"op": "reset"}, [("check_reset",), ("reset",)]),
+        ({"op": "forget"}, [("check_forget",), ("forget",)]),
     ],
 )
 def test_what_concerns_all_axes_goes_to_all_of_them_unless_one_is_named(

@@ -87,7 +87,7 @@ class HostileClients:
             {"op": "preempt"}, {"op": "arm"}, {"op": "arm"}, {"op": "reset"}, {"op": "reset"}, {"op": "stop"},
             {"op": "stop", "quick": True}, {"op": "disarm"}, {"op": "home"}, {"op": "home", "position": 0.0},
             {"op": "jog", "velocity": random.uniform(-50.0, 50.0)}, {"op": "status"}, {"op": "recording"},
-            {"op": "reload"}, {"op": "move", "by": random.uniform(-5.0, 5.0)},
+            {"op": "reload"}, {"op": "forget"}, {"op": "move", "by": random.uniform(-5.0, 5.0)},
             {"op": "move", "position": random.uniform(-200.0, 200.0), "velocity": random.uniform(1.0, 200.0)},
             {"op": "move", "position": random.choice((1e300, -1e9))},
         )))  # fmt: skip

@@ -194,7 +194,9 @@ class ServiceSoak:
             {"op": "jog", "velocity": -velocity},
             *[{"op": "home"}] * (0 if axis.settings.homing.method == "set_here" else 2 if axis.referenced else 20),
             {"op": "move", "position": random.choice((1e9, math.nan, -math.inf, 1e300))},
-            {"op": random.choice(("status", "recording", "release", "acquire", "preempt", "reload", "arm", "reset"))},
+            {"op": random.choice((
+                "status", "recording", "release", "acquire", "preempt", "reload", "arm", "reset", "forget",
+            ))},
             *[{"op": "move", "by": random.uniform(-near, near), "velocity": velocity}] * 4,
             *[{"op": "move", "position": target, "velocity": velocity}] * 6,
         )))  # fmt: skip

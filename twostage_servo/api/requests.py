@@ -197,6 +197,12 @@ class HomeRequest(AxisRequest):
     )
 
 
+class ForgetRequest(AxisRequest):
+    """Forget what the law has learned of its plant, while the axis is at rest."""
+
+    op: ClassVar[str] = "forget"
+
+
 class ReleaseRequest(_Request):
     """Give control authority back."""
 
@@ -239,6 +245,7 @@ Request = (
     | MoveRequest
     | JogRequest
     | HomeRequest
+    | ForgetRequest
     | ReleaseRequest
     | AcquireRequest
     | PreemptRequest

@@ -16,8 +16,8 @@ from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.canbus.link import BusSettings
 from twostage_servo.config.loader import Config, LoadedConfig
-from twostage_servo.control.laws.law import LearningLaw
 from twostage_servo.host.settings import RealtimeSettings
+from twostage_servo.service.snapshot import law_status
 from twostage_servo.telemetry.sample import FIELDS, Sample
 from twostage_servo.timing.ticks import Tick
 
@@ -254,21 +254,10 @@ class Demonstration:
             },
             "trip": None if trip is None else {"code": trip.code, "cause": trip.cause, "next_action": trip.next_action},
             "failure": self.failure,
-            "law": self._law(),
+            "law": law_status(self._axis_loop.axis).to_json(),
             "moves": [{"target": move.target, **score} for move, score in zip(self._moves, scores, strict=True)],
             "trace_sha256": self._frames.hexdigest(),
         }
-
-    def _law(self) -> JsonObject:
-        """Return which law has moved the axis, and what it has found out of the plant, if it learns."""
-        law = self._axis_loop.axis.law
-        found: JsonObject = {"type": self._config.axis.law.type, "identified": None, "accepted": None}
-        if isinstance(law, LearningLaw) and (learned := law.learned).moves:
-            forward, backward = learned.load
-            load = {"forward": forward, "backward": backward}
-            identified = {"gain": learned.gain, "pole": learned.pole, "delay_ticks": learned.delay_ticks, "load": load}
-            found |= {"identified": identified, "accepted": learned.is_sure}
-        return found
 
     def _score(self, index: int) -> JsonObject:
         move = self._moves[index]

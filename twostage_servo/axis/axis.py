@@ -1,5 +1,7 @@
 """One axis: a drive with its law, its limits and its state, told tick by tick what happens."""
 
+import contextlib
+
 from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.arming import Arming, Obstacles
 from twostage_servo.axis.count_watch import CountWatch
@@ -26,7 +28,7 @@ from twostage_servo.axis.tick import AxisTick
 from twostage_servo.axis.trip_latch import TripLatch
 from twostage_servo.axis.trips import Trip, TripCode
 from twostage_servo.control.estimate import Estimate  # noqa: TC001 - the class of an attribute
-from twostage_servo.control.laws.law import Law, Stage
+from twostage_servo.control.laws.law import Law, Learned, Stage
 
 
 class Axis:
@@ -72,6 +74,8 @@ class Axis:
         As in :class:`.DriveWatch`.
     raise_trip, end_braking
         As :meth:`.TripLatch.raise_trip` and :meth:`.DrivenStep.end_braking`.
+    recall
+        As :meth:`.Motion.recall`, while the axis is disarmed.
     estimate
         Position, velocity and disturbance of the axis as its law takes them to be now.
     nominal
@@ -111,6 +115,7 @@ class Axis:
         self.jog, self.bar_jog, self.stop = requests.jog, jog.bar, requests.stop
         self.home, self.set_position = requests.home, requests.set_position
         self.reset, self.check_reset = requests.reset, requests.check_reset
+        self.forget, self.check_forget = requests.forget, requests.check_forget
         self.slowest_velocity = admission.slowest
         # What it is told, tick by tick.
         tick = AxisTick(design, machine, drive, motion, watch, arming, obstacles, jog, operation, driven, latch)
@@ -118,6 +123,7 @@ class Axis:
         self.accept_feedback, self.record_heartbeat = watch.accept_feedback, watch.record_heartbeat
         self.record_foreign_command = watch.record_foreign_command
         self.raise_trip, self.end_braking = latch.raise_trip, driven.end_braking
+        self.recall = motion.recall
         # What it tells, as long as it lives.
         self.estimate: Estimate = motion.law.observer
         self.nominal: Estimate = motion.nominal.observer
@@ -135,6 +141,10 @@ class Axis:
         is_wanted = self.settings.homing.required or self.reference.is_homed
         if is_wanted and self.settings.homing != former.settings.homing:
             self.reference.lose("[axis.homing] has changed")
+        learned = former.learned
+        if learned is not None and learned.moves and self.settings.law.memory != "none" and _learns_as(self, former):
+            with contextlib.suppress(ValueError):  # of other limits: it begins anew
+                self.recall(learned)
 
     @property
     def can_stop(self) -> bool:
@@ -218,6 +228,16 @@ class Axis:
         return self.motion.law
 
     @property
+    def learned(self) -> Learned | None:
+        """What the law has found out of its plant; None of a law that learns nothing."""
+        return self.motion.learned
+
+    @property
+    def times_forgotten(self) -> int:
+        """How often a trip or an operator has made the law forget that."""
+        return self.motion.times_forgotten
+
+    @property
     def effort(self) -> float:
         """The effort that the law gave last, in effort unit; not what has left where the axis is not driven."""
         return self.motion.law.effort
@@ -274,3 +294,11 @@ class Axis:
         On what they rest then, :attr:`reference` says.
         """
         return self.reference.source is not None
+
+
+def _learns_as(axis: Axis, former: Axis) -> bool:
+    """Whether what a former axis has learned holds for another one: the same law, plant, unit and tick."""
+    now, then = axis.settings, former.settings
+    return (now.law.type, now.law.keys, now.plant, now.unit, now.effort_unit, axis.design.period_s) == (
+        then.law.type, then.law.keys, then.plant, then.unit, then.effort_unit, former.design.period_s,
+    )  # fmt: skip

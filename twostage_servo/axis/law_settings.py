@@ -3,7 +3,7 @@
 import contextlib
 import functools
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import Field, ValidationError, create_model, field_validator, model_validator
 from pydantic.fields import FieldInfo
@@ -20,6 +20,11 @@ class LawSettings(Settings):
 
     type: str = Field(
         PAPER, description="Name of the law; its keys are in the table axis.law.<type>", min_length=1, max_length=64
+    )
+    memory: Literal["none", "moves", "file"] = Field(
+        "moves",
+        description="How long what the law has learned of its plant is kept: for one move, while the service runs, or "
+        "in a file in the folder of the trip files",
     )
     performance_index_ratio: float | None = quantity(
         None, unit="1", description="Former place of axis.law.paper.performance_index_ratio", ge=1e-12, le=1e6

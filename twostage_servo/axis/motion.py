@@ -10,7 +10,7 @@ from twostage_servo.axis.sample_date import SampleDate
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
 from twostage_servo.axis.tracking import Tracking
-from twostage_servo.control.laws.law import LearningLaw, Stage
+from twostage_servo.control.laws.law import Learned, LearningLaw, Stage
 from twostage_servo.control.per_time import kept_in
 
 IMPLAUSIBLE_SAMPLES = 2
@@ -64,11 +64,16 @@ class Motion:
         Whether the plant answers the effort as the model says.
     unchanged_effort
         By how much the effort (effort unit) has changed since the encoder last showed another position.
+    times_forgotten
+        How often :meth:`forget_plant` was called.
     """
 
     def __init__(self, design: AxisDesign, drive: DriveReport, resolution: float) -> None:
         self.law = design.build_law()
         self.nominal = design.build_nominal_law()
+        self._learner = self.law if isinstance(self.law, LearningLaw) and self.law.learns else None
+        self._keeps_learned = design.settings.law.memory != "none"
+        self.times_forgotten = 0
         self.predicted = 0
         self.implausible_distance = 0.0
         self.model_monitor = design.build_model_monitor()
@@ -259,10 +264,26 @@ class Motion:
         recent = self._recent
         return max(recent) - min(recent) if len(recent) == recent.maxlen else math.inf
 
+    @property
+    def learned(self) -> Learned | None:
+        """What the law has found out of the plant; None of a law that learns nothing."""
+        return None if self._learner is None else self._learner.learned
+
     def forget_plant(self) -> None:
         """Forget what the law has found out of the plant: a fault may have been taken for it."""
-        if isinstance(self.law, LearningLaw):
-            self.law.forget()
+        self.times_forgotten += 1
+        if self._learner is not None:
+            self._learner.forget()
+
+    def forget_former_moves(self) -> None:
+        """Begin a move with the configured plant, unless what other moves have shown is kept."""
+        if self._learner is not None and not self._keeps_learned:
+            self._learner.forget()
+
+    def recall(self, learned: Learned) -> None:
+        """Go on from what was learned before; see :meth:`~twostage_servo.control.laws.law.LearningLaw.recall`."""
+        if self._learner is not None:
+            self._learner.recall(learned)
 
     def lose_track(self) -> None:
         """Start the observer afresh at the next sample: what it holds is not to be built on."""

@@ -89,8 +89,11 @@ class Operation:
     def set_target(self, target: float, velocity: float) -> None:
         """Set out for a set-point in axis unit with a velocity in axis unit/s; the state stays as it is."""
         self._heading = target - self._motion.law.observer.position
+        is_under_way = self._machine.state in COMMANDED
+        if not is_under_way:
+            self._motion.forget_former_moves()
         self._motion.set_target(target, velocity)
-        if self._machine.state in COMMANDED:
+        if is_under_way:
             self._supervision.change_move()
         else:
             self._supervision.begin_move()
@@ -113,6 +116,7 @@ class Operation:
     def begin_homing(self) -> None:
         """Begin to look for the reference."""
         homing = self._design.settings.homing
+        self._motion.forget_former_moves()
         self.homing = Homing(self._design, self._motion, self._drive)
         self._supervision.begin_move()
         self._machine.apply(Event.HOME)

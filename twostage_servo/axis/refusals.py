@@ -23,6 +23,7 @@ class RefusalCode(enum.StrEnum):
     ARMED = "armed"
     TRIPPED = "tripped"
     NOT_TRIPPED = "not_tripped"
+    LEARNS_NOTHING = "learns_nothing"
     # Of its limits and its reference
     POSITION_LIMIT = "position_limit"
     VELOCITY_LIMIT = "velocity_limit"

@@ -15,7 +15,7 @@ from twostage_servo.axis.operation import Operation
 from twostage_servo.axis.origin import Origin
 from twostage_servo.axis.reference import Reference
 from twostage_servo.axis.refusals import RefusalCode, Refused
-from twostage_servo.axis.state import BRAKING, LATCHED, Event, State
+from twostage_servo.axis.state import BRAKING, COMMANDED, LATCHED, Event, State
 from twostage_servo.axis.state_machine import StateMachine
 from twostage_servo.axis.trip_latch import TripLatch
 from twostage_servo.axis.trips import Trip
@@ -280,6 +280,35 @@ class Requests:
             raise Refused(RefusalCode.NOT_TRIPPED, f"the axis is {self._machine.state}: there is nothing to reset.")
         if (lasting := next(iter(self._hazards.present(self._latch.tick)), None)) is not None:
             raise Refused(RefusalCode(lasting.code), f"{lasting.cause.rstrip('.')}. {lasting.next_action}")
+
+    def forget(self) -> None:
+        """Forget what the law has learned of its plant; the next move begins with the configured one.
+
+        Raises
+        ------
+        Refused
+            As in :meth:`check_forget`.
+        """
+        self.check_forget()
+        self._motion.forget_plant()
+
+    def check_forget(self) -> None:
+        """Tell whether the law could forget.
+
+        Raises
+        ------
+        Refused
+            If the law learns nothing, or the axis moves: in mid-move it would go on by another plant.
+        """
+        if self._motion.learned is None:
+            law = self._settings.law.type
+            raise Refused(
+                RefusalCode.LEARNS_NOTHING,
+                f"the law that drives the axis (axis.law.type = {law}) learns nothing, or its keys in axis.law.{law} "
+                "keep it from learning: there is nothing to forget.",
+            )
+        if (state := self._machine.state) in COMMANDED | BRAKING:
+            raise Refused(RefusalCode.BUSY, f"the axis is {state}: `stop` it, or wait until it holds, then `forget`.")
 
     def _brake(self, reason: str | None, *, quick: bool) -> None:
         limits = self._settings.limits

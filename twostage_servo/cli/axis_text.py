@@ -106,6 +106,24 @@ def _reference(axis: AxisStatus) -> str:
     return "homed" + seen
 
 
+def _of_law(report: AxisReport) -> str:
+    """Return which law drives an axis, and what it has learned."""
+    law, axis = report.law, report.axis
+    found = law.identified
+    if found is None:
+        return law.type
+    loads = [
+        f"{load:.3g} {axis.effort_unit} {way}"
+        for way, load in (("forward", found.load.forward), ("backward", found.load.backward))
+        if load is not None
+    ]
+    return (
+        f"{law.type}; from {found.moves} {'move' if found.moves == 1 else 'moves'}: gain {found.gain:.4g} "
+        f"{axis.unit}/s²/{axis.effort_unit}, pole {found.pole:.4g} 1/s, delay {found.delay_ticks} ticks, "
+        f"load {', '.join(loads) or 'unknown'}" + ("" if law.accepted else "; not yet sure of it")
+    )
+
+
 def _rows_of_axis(report: AxisReport) -> list[tuple[str, str]]:
     axis, frames, bus = report.axis, report.frames, report.bus
     return [
@@ -113,6 +131,7 @@ def _rows_of_axis(report: AxisReport) -> list[tuple[str, str]]:
         ("positions", _reference(axis)),
         ("effort", f"{axis.effort:.3f} {axis.effort_unit}" + (" (at its limit)" if axis.saturated else "")),
         ("following error", f"{axis.following_error:.3f} {axis.unit}"),
+        ("law", _of_law(report)),
         ("bus", f"open, controller {bus.controller}" if bus.open else f"closed: {bus.error}"),
         ("drive inputs", ", ".join(name for name, on in report.inputs.to_json().items() if on) or "none active"),
         (

@@ -81,6 +81,10 @@ def _add_reset(verbs: "_Verbs") -> None:
     _verb(verbs, "reset", "clear a trip; the axis is disarmed afterwards")
 
 
+def _add_forget(verbs: "_Verbs") -> None:
+    _verb(verbs, "forget", "make the law forget what it has learned of its plant; only while the axis is at rest")
+
+
 def _add_release(verbs: "_Verbs") -> None:
     release = _verb(verbs, "release", "release your control authority")
     release.add_argument(
@@ -102,6 +106,7 @@ VERBS: "Final[Mapping[str, Callable[[_Verbs], None]]]" = {
     "home": _add_home,
     "stop": _add_stop,
     "reset": _add_reset,
+    "forget": _add_forget,
     "release": _add_release,
     "reload": _add_reload,
 }

@@ -185,6 +185,11 @@ def _reset(options: argparse.Namespace) -> ExitCode:
         return _finish(options, client.reset(), disabled=True)
 
 
+def _forget(options: argparse.Namespace) -> ExitCode:
+    with _connected(options) as client:
+        return _finish(options, client.forget())
+
+
 def _move(options: argparse.Namespace) -> ExitCode:
     wanted = _wanted(options)
     names = list(wanted) if isinstance(wanted, dict) else []
@@ -308,6 +313,7 @@ _VERBS: Final[dict[str, Callable[[argparse.Namespace], ExitCode]]] = {
     "home": _home,
     "stop": _stop,
     "reset": _reset,
+    "forget": _forget,
     "release": _release,
     "reload": _reload,
 }

@@ -116,6 +116,10 @@ class AsyncServoClient:
         """Clear a trip; the axis is disarmed afterwards."""
         return await self._run(self._verbs.reset())
 
+    async def forget(self) -> Status:
+        """Make the law forget what it has learned of its plant, while the axis is at rest."""
+        return await self._run(self._verbs.forget())
+
     async def reload(self) -> Status:
         """Make the service read its configuration again, while the axis is disarmed."""
         return await self._run(self._verbs.reload())

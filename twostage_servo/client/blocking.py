@@ -150,6 +150,10 @@ class ServoClient:
         """Clear a trip; the axis is disarmed afterwards."""
         return self._run(self._verbs.reset())
 
+    def forget(self) -> Status:
+        """Make the law forget what it has learned of its plant, while the axis is at rest."""
+        return self._run(self._verbs.forget())
+
     def reload(self) -> Status:
         """Make the service read its configuration again, while the axis is disarmed."""
         return self._run(self._verbs.reload())

@@ -10,6 +10,7 @@ from twostage_servo.api.requests import (
     ArmRequest,
     BadRequestError,
     DisarmRequest,
+    ForgetRequest,
     HomeRequest,
     JogRequest,
     MoveRequest,
@@ -121,6 +122,10 @@ class Verbs:
         """Clear a trip, and wait until the drive is seen to be off."""
         yield from self._asked(ResetRequest(axis=self._axis))
         return (yield from self._until(_none_in(frozenset())))
+
+    def forget(self) -> Verb[Status]:
+        """Let the law forget what it has learned of its plant."""
+        return (yield from self._asked(ForgetRequest(axis=self._axis)))
 
     def acquire(self, *, preempt: bool) -> Verb[Status]:
         """Acquire control authority."""

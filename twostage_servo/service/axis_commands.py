@@ -112,6 +112,15 @@ class AxisCommands:
             axis_loop.axis.reset()
             axis_loop.recorder.discard()
 
+    def forget(self, axis_loops: Sequence[AxisLoop]) -> None:
+        """Let those laws forget their plants that learn them."""
+        learning = [axis_loop for axis_loop in axis_loops if axis_loop.axis.learned is not None] or axis_loops
+        for axis_loop in learning:
+            with self._named(axis_loop) as axis:
+                axis.check_forget()
+        for axis_loop in learning:
+            axis_loop.axis.forget()
+
     def move(self, axis_loops: Sequence[AxisLoop], request: MoveRequest) -> None:
         """Give one axis a set-point, or several together."""
         if request.positions is not None:

@@ -12,6 +12,7 @@ from twostage_servo.api.requests import (
     ArmRequest,
     AxisRequest,
     DisarmRequest,
+    ForgetRequest,
     HomeRequest,
     JogRequest,
     MoveRequest,
@@ -261,6 +262,8 @@ class RequestHandler:
                 self._commands.jog(addressed, velocity)
             case HomeRequest(position=position):
                 self._commands.home(addressed, position)
+            case ForgetRequest():
+                self._commands.forget(addressed)
             case ReloadRequest():
                 self._reload.carry_out(client)
             case _:

@@ -12,7 +12,10 @@ from twostage_servo.api.status import (
     BusStatus,
     DriveStatus,
     FrameStatus,
+    IdentifiedStatus,
     InputStatus,
+    LawStatus,
+    LoadStatus,
     MoveStatus,
     RealtimeStatus,
     ServiceStatus,
@@ -27,6 +30,7 @@ from twostage_servo.timing.histogram import TimeHistogram
 from twostage_servo.version import __version__
 
 if TYPE_CHECKING:
+    from twostage_servo.axis.axis import Axis
     from twostage_servo.axis.moves import Move
     from twostage_servo.axis.trips import Trip
     from twostage_servo.service.authority import Authority
@@ -116,7 +120,24 @@ def report_axis(axis_loop: "AxisLoop") -> AxisReport:
             controller=bus.link.controller_state,
             error_counters=bus.link.error_counters,
         ),
+        law=law_status(axis),
     )
+
+
+def law_status(axis: "Axis") -> LawStatus:
+    """Return which law drives an axis, and what it has learned of its plant."""
+    name, learned = axis.settings.law.type, axis.learned
+    if learned is None or not learned.moves:
+        return LawStatus(type=name, identified=None, accepted=None)
+    forward, backward = learned.load
+    identified = IdentifiedStatus(
+        gain=learned.gain,
+        pole=learned.pole,
+        delay_ticks=learned.delay_ticks,
+        load=LoadStatus(forward=forward, backward=backward),
+        moves=learned.moves,
+    )
+    return LawStatus(type=name, identified=identified, accepted=learned.is_sure)
 
 
 def _axis_status(axis_loop: "AxisLoop") -> AxisStatus:

@@ -109,6 +109,10 @@ class Learned:
         Of the plant that it believes in, in axis unit/s² per effort unit and 1/s.
     delay_ticks
         How many ticks later than designed an effort acts.
+    gain_share, pole_share
+        Spread of these two with which the next move begins, as shares.
+    delay_evidence
+        What speaks against that delay (negative) or for it, as twice the logarithm of a ratio of likelihoods.
     load
         What acts against each direction, friction included, in effort unit: forward and backward; None where not known.
     moves
@@ -119,7 +123,10 @@ class Learned:
 
     gain: float
     pole: float
+    gain_share: float
+    pole_share: float
     delay_ticks: int
+    delay_evidence: float
     load: tuple[float | None, float | None]
     moves: int
     is_sure: bool
@@ -129,12 +136,25 @@ class Learned:
 class LearningLaw(Law, Protocol):
     """A law that identifies its plant as it moves it."""
 
-    def forget(self) -> None:
-        """Forget all of it: something was wrong that may have been taken for the plant's own."""
+    @property
+    def learns(self) -> bool:
+        """Whether its settings let it."""
 
     @property
     def learned(self) -> Learned:
         """What is known by now."""
+
+    def forget(self) -> None:
+        """Forget all of it: something was wrong that may have been taken for the plant's own."""
+
+    def recall(self, learned: Learned) -> None:
+        """Go on from what a law of the same design has learned, while the axis is not driven.
+
+        Raises
+        ------
+        ValueError
+            If that is nothing that this law could have learned by itself; nothing has changed then.
+        """
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from math import sqrt
 from typing import Final
 
 from twostage_servo.control.laws.adaptive.learning import Learning
+from twostage_servo.control.laws.adaptive.memory import check_learned
 from twostage_servo.control.laws.adaptive.model import Model
 from twostage_servo.control.laws.adaptive.rules import (
     FINEST_SPREAD,
@@ -59,9 +60,9 @@ class ControlEstimate:
     """
 
     __slots__ = (
-        "_direction", "_efforts", "_expected_load", "_learns", "_noise", "_noise_square", "_observer",
-        "_origin", "_rest", "_rules", "_samples_at_rest", "_task", "_unit", "disturbance", "learning", "model",
-        "position", "velocity",
+        "_direction", "_efforts", "_expected_load", "_learning_rules", "_learns", "_noise", "_noise_square",
+        "_observer", "_origin", "_rest", "_rules", "_samples_at_rest", "_task", "_unit", "disturbance", "learning",
+        "model", "position", "velocity",
     )  # fmt: skip
 
     def __init__(
@@ -69,6 +70,7 @@ class ControlEstimate:
     ) -> None:
         self._task = task
         self._rules = rules
+        self._learning_rules = learning_rules
         self._learns = learns
         self._unit = noise_unit(task)
         self._noise = noise
@@ -104,15 +106,12 @@ class ControlEstimate:
     @property
     def learned(self) -> Learned:
         """What is known of the plant by now."""
-        learning, believed = self.learning, self.learning.believed
-        return Learned(
-            gain=believed.gain,
-            pole=believed.pole,
-            delay_ticks=int(learning.is_late),
-            load=(learning.loads.get(1.0), learning.loads.get(-1.0)),
-            moves=learning.moves,
-            is_sure=learning.is_known,
-        )
+        return self.learning.learned
+
+    @property
+    def learns(self) -> bool:
+        """Whether moves are looked at."""
+        return self._learns
 
     # What it is given -------------------------------------------------------------------------------------------------
 
@@ -232,6 +231,13 @@ class ControlEstimate:
     def forget(self) -> None:
         """Believe what is configured, and nothing else."""
         self.learning.forget()
+        self._return_to_believed()
+        self._tell()
+
+    def recall(self, learned: Learned) -> None:
+        """Believe what has been learned before; see :meth:`~twostage_servo.control.laws.law.LearningLaw.recall`."""
+        check_learned(learned, self._task, self._learning_rules)
+        self.learning.recall(learned)
         self._return_to_believed()
         self._tell()
 

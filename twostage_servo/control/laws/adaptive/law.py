@@ -150,9 +150,18 @@ class AdaptiveLaw:
         self._estimate.forget()
 
     @property
+    def learns(self) -> bool:
+        """Whether it identifies the plant."""
+        return self._estimate.learns
+
+    @property
     def learned(self) -> Learned:
         """What it has found out of the plant."""
         return self._estimate.learned
+
+    def recall(self, learned: Learned) -> None:
+        """Believe what has been learned before; see :meth:`~twostage_servo.control.laws.law.LearningLaw.recall`."""
+        self._estimate.recall(learned)
 
     def continue_from(self, other: "AdaptiveLaw") -> None:
         """Go on where another law of the same axis stands, its estimate included; each keeps its own model.

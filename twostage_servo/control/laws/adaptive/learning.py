@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from twostage_servo.control.laws.adaptive.identification import Fit, Prior, widened
 from twostage_servo.control.laws.adaptive.rules import LearningRules
+from twostage_servo.control.laws.law import Learned
 from twostage_servo.control.plant import Plant
 
 GAIN_BOUNDS: Final = (0.6, 1.65)
@@ -33,7 +34,7 @@ _SURPRISES: Final = 2
 _FEWEST_TICKS: Final = 5
 """Ticks of a move below which nothing of it is kept."""
 
-_MOST_DELAY_EVIDENCE: Final = 200.0
+MOST_DELAY_EVIDENCE: Final = 200.0
 """Bound of the evidence for one delay that moves add up: so that a delay that has changed is found in a few moves."""
 
 
@@ -112,6 +113,34 @@ class Learning:
         self._direction = 1.0
         self.active = False
         self._ticks = self._surprises = 0
+
+    @property
+    def learned(self) -> Learned:
+        """What is known by now."""
+        gain_share, pole_share = self._shares
+        return Learned(
+            gain=self.believed.gain,
+            pole=self.believed.pole,
+            gain_share=gain_share,
+            pole_share=pole_share,
+            delay_ticks=int(self.is_late),
+            delay_evidence=self._delay_evidence,
+            load=(self.loads.get(1.0), self.loads.get(-1.0)),
+            moves=self.moves,
+            is_sure=self.is_known,
+        )
+
+    def recall(self, learned: Learned) -> None:
+        """Know what has been learned before, which has been checked."""
+        self.forget()
+        self.believed = Plant(learned.gain, learned.pole)
+        self._shares = learned.gain_share, learned.pole_share
+        forward, backward = learned.load
+        self.loads = {sign: load for sign, load in ((1.0, forward), (-1.0, backward)) if load is not None}
+        self.is_known = learned.is_sure
+        self.is_late = learned.delay_ticks > 0
+        self.moves = learned.moves
+        self._delay_evidence = learned.delay_evidence
 
     @property
     def is_new(self) -> bool:
@@ -230,7 +259,7 @@ class Learning:
             widened(pole_spread / plant.pole, rules.prior_share),
         )
         self.loads[self._direction] = fit.load
-        self._delay_evidence = _within(self._delay_evidence + gap, (-_MOST_DELAY_EVIDENCE, _MOST_DELAY_EVIDENCE))
+        self._delay_evidence = _within(self._delay_evidence + gap, (-MOST_DELAY_EVIDENCE, MOST_DELAY_EVIDENCE))
         self.moves += 1
         return True
 

@@ -1,0 +1,134 @@
+"""What an axis' law has learned: how long it is kept, and what makes it forget."""
+
+from typing import Any
+
+import pytest
+
+from tests.axis.rig import DEMO, PERIOD_S, TRAITS, AxisRig
+from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.refusals import RefusalCode, Refused
+from twostage_servo.axis.settings import AxisSettings
+from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
+from twostage_servo.control.laws.law import Learned
+from twostage_servo.control.plant import Plant
+
+
+def axis_of(law: dict[str, Any] | None = None, **changed: Any) -> Axis:
+    settings = AxisSettings.model_validate(DEMO | {"law": {"type": "adaptive"} | (law or {})} | changed)
+    return Axis(design_axis(settings, PERIOD_S), TRAITS)
+
+
+def rig_of(law: dict[str, Any] | None = None, **changed: Any) -> AxisRig:
+    return AxisRig(axis_of(law, **changed), Plant(225.0, 11.2))
+
+
+def learned(rig: AxisRig) -> Learned:
+    assert rig.axis.learned is not None
+    return rig.axis.learned
+
+
+def after_moves(rig: AxisRig, *targets: float) -> AxisRig:
+    rig.armed()
+    for target in targets:
+        rig.axis.move_to(target, 100.0)
+        rig.seconds(5.0)
+        assert rig.state() is State.HOLDING
+    return rig
+
+
+def refusal(rig: AxisRig) -> tuple[RefusalCode, str]:
+    with pytest.raises(Refused) as refused:
+        rig.axis.forget()
+    return refused.value.code, str(refused.value)
+
+
+@pytest.mark.parametrize(("memory", "moves"), [("moves", 3), ("file", 3), ("none", 1)])
+def test_it_is_kept_from_move_to_move_unless_each_is_to_begin_anew(memory: str, moves: int) -> None:
+    rig = after_moves(rig_of({"memory": memory}), 400.0, 0.0, 400.0)
+    assert learned(rig).moves == moves
+    assert learned(rig).gain == pytest.approx(225.0, rel=0.02)
+    assert rig.axis.times_forgotten == 0
+
+
+def test_without_a_memory_each_move_begins_with_the_configured_plant() -> None:
+    rig = after_moves(rig_of({"memory": "none"}), 400.0)
+    assert learned(rig).moves == 1  # and is shown, until the next one begins
+    rig.axis.move_to(0.0, 100.0)
+    assert (learned(rig).moves, learned(rig).gain) == (0, 180.0)
+    rig.seconds(5.0)
+    rig.axis.jog(50.0)
+    assert (learned(rig).moves, learned(rig).gain) == (0, 180.0)
+
+
+def test_a_leg_of_a_move_goes_on_with_what_the_leg_before_has_learned() -> None:
+    rig = rig_of({"memory": "none"}, approach={"direction": "positive", "distance": 20.0})
+    after_moves(rig, -300.0)
+    assert learned(rig).moves == 2
+
+
+def test_an_operator_makes_it_forget_at_rest() -> None:
+    rig = after_moves(rig_of(), 400.0)
+    before = rig.commands[-1].effort
+    rig.axis.forget()
+    assert (learned(rig).moves, learned(rig).gain, rig.axis.times_forgotten) == (0, 180.0, 1)
+    rig.seconds(1.0)
+    assert rig.position == pytest.approx(400.0, abs=0.02)
+    assert max(abs(command.effort - before) for command in rig.commands[-100:]) < 0.05
+    rig.axis.disarm()
+    rig.axis.forget()
+    assert rig.axis.times_forgotten == 2
+
+
+def test_an_axis_that_moves_keeps_what_it_knows() -> None:
+    rig = after_moves(rig_of(), 400.0)
+    rig.axis.move_to(0.0, 100.0)
+    rig.seconds(1.0)
+    code, text = refusal(rig)
+    assert code is RefusalCode.BUSY
+    assert text == "the axis is moving_speed_stage: `stop` it, or wait until it holds, then `forget`."
+    rig.axis.stop()
+    rig.seconds(0.02)
+    assert refusal(rig)[0] is RefusalCode.BUSY
+    assert learned(rig).moves >= 1
+    rig.seconds(2.0)
+    rig.axis.forget()
+    assert learned(rig).moves == 0
+
+
+@pytest.mark.parametrize(
+    "law", [{"type": "paper"}, {"adaptive": {"identification": False}}], ids=["another law", "not identifying"]
+)
+def test_a_law_that_learns_nothing_says_so(law: dict[str, Any]) -> None:
+    rig = rig_of(law)
+    code, text = refusal(rig)
+    assert code is RefusalCode.LEARNS_NOTHING
+    assert f"axis.law.type = {law.get('type', 'adaptive')})" in text
+    assert rig.axis.learned is None
+
+
+def test_a_trip_is_counted_as_forgetting() -> None:
+    rig = after_moves(rig_of(), 400.0)
+    rig.axis.raise_trip(TripCode.STALE_FEEDBACK, "test")
+    assert (learned(rig).moves, rig.axis.times_forgotten) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "kept"),
+    [
+        ({"cruise_velocity": 50.0}, True),
+        ({"plant": {"gain": 190.0, "pole": 14.0}}, False),
+        ({"law": {"type": "adaptive", "memory": "none"}}, False),
+        ({"law": {"type": "adaptive", "memory": "file"}}, True),
+        ({"law": {"type": "adaptive", "adaptive": {"encoder_noise": 0.01}}}, False),
+        ({"law": {"type": "paper"}}, False),
+    ],
+)
+def test_settings_that_are_read_again_keep_it_if_the_plant_is_the_same(change: dict[str, Any], kept: bool) -> None:
+    rig = after_moves(rig_of(), 400.0)
+    rig.axis.disarm()
+    rig.seconds(0.1)
+    fresh = axis_of(**change) if "law" not in change else axis_of(change["law"])
+    fresh.continue_from(rig.axis)
+    assert (fresh.learned is not None and fresh.learned == rig.axis.learned) is kept
