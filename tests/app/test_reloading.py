@@ -40,7 +40,10 @@ def reloading(world: World, file: Path, carry_out: Callable[[Job], Prepared] = p
     return Reloading(parts, file, (), carry_out)
 
 
-def test_a_process_of_its_own_does_the_same_as_this_one(file: Path) -> None:
+@pytest.mark.parametrize("law", ["paper", "adaptive"])
+def test_a_process_of_its_own_does_the_same_as_this_one(file: Path, law: str) -> None:
+    change(file, "[axis.law]\n", f'[axis.law]\ntype = "{law}"\n')
+
     async def script(world: World) -> tuple[Prepared, Prepared]:
         job = Job(
             file,
@@ -58,6 +61,7 @@ def test_a_process_of_its_own_does_the_same_as_this_one(file: Path) -> None:
     assert isinstance(one, Axis)
     assert one.settings == other.settings
     assert one.settings.cruise_velocity == 40.0
+    assert one.settings.law.type == law
     assert one.design == other.design
 
 

@@ -69,6 +69,11 @@ class LawSettings(Settings):
                 fields.setdefault(name, _table_of(LAWS.get(name)))
         return fields
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pack the settings so that another process can unpack them: it has no class of these tables yet."""
+        tables = tuple(name for name in type(self).model_fields if name not in LawSettings.model_fields)
+        return _unpacked, (tables, self.__getstate__())
+
     @property
     def keys(self) -> Settings:
         """The keys of the law that drives the axis."""
@@ -103,6 +108,14 @@ def _with_tables(names: tuple[str, ...]) -> type[LawSettings]:
             law = LAWS.get(name)
             tables[name] = (law.settings, law.settings())
     return create_model("LawSettings", __base__=LawSettings, **tables) if tables else LawSettings
+
+
+def _unpacked(tables: tuple[str, ...], state: dict[str, Any]) -> LawSettings:
+    """Return the settings that were packed, of a law with these tables."""
+    kind = _with_tables(tables) if tables else LawSettings
+    settings = kind.__new__(kind)
+    settings.__setstate__(state)
+    return settings
 
 
 def choose_law(value: object) -> object:
