@@ -358,10 +358,33 @@ def test_a_drive_that_goes_away_trips_the_axis(machine: Machine) -> None:
     assert machine.ask("arm")["axis"]["state"] == "holding"
 
 
-def test_nothing_is_imported_while_the_service_runs(machine: Machine, tmp_path: Path) -> None:
+def test_what_a_law_had_learned_is_there_after_a_start_until_somebody_lets_it_forget(machine: Machine) -> None:
+    file = machine.state / "twostage-servo" / "trips" / "learned-x.json"
+    learned = {
+        "gain": 200.0, "pole": 13.0, "gain_share": 0.02, "pole_share": 0.05, "delay_ticks": 1, "delay_evidence": -9.0,
+        "load": [0.1, None], "moves": 3, "is_sure": True,
+    }  # fmt: skip
+    document = {
+        "format": 1, "axis": "x", "law": "adaptive", "unit": "mm", "effort_unit": "V", "tick_ms": 10.0,
+        "configured_gain": 180.0, "configured_pole": 14.0, "learned": learned,
+    }  # fmt: skip
+    file.parent.mkdir(parents=True)
+    file.write_text(json.dumps(document), encoding="utf-8")
+    machine.drive()
+    service = machine.service("axis.law.type=adaptive", "axis.law.memory=file")
+    load = {"forward": 0.1, "backward": None}
+    identified = {"gain": 200.0, "pole": 13.0, "delay_ticks": 1, "load": load, "moves": 3}
+    assert machine.ask("status")["law"] == {"type": "adaptive", "identified": identified, "accepted": True}
+    assert machine.ask("forget")["law"]["identified"] is None
+    service.end(signal.SIGTERM)
+    assert not file.exists()
+
+
+@pytest.mark.parametrize("law", [(), ("axis.law.type=adaptive", "axis.law.memory=file")], ids=["paper", "adaptive"])
+def test_nothing_is_imported_while_the_service_runs(machine: Machine, tmp_path: Path, law: tuple[str, ...]) -> None:
     """What a start leaves out must not be needed by a tick, a request or a trip: an import takes many ticks."""
     drive = machine.drive()
-    service = machine.service(command=(sys.executable, "-X", "importtime", *COMMAND[1:]))
+    service = machine.service(*law, command=(sys.executable, "-X", "importtime", *COMMAND[1:]))
     assert machine.ask_disarmed("reload")["ok"]
     machine.ask("arm")
     machine.ask("move", "5", "--wait")

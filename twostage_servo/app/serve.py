@@ -17,12 +17,14 @@ from twostage_servo.app.start_error import StartError, threads
 from twostage_servo.config.machine import Machine
 from twostage_servo.service.control_socket import ControlSocket
 from twostage_servo.service.ending_signals import EndingSignals
+from twostage_servo.service.law_memory import LawMemory
 from twostage_servo.service.log import open_log
 from twostage_servo.service.notify import Notifier
 from twostage_servo.service.request_age import time_asleep_s
 from twostage_servo.service.runtime import Runtime
 from twostage_servo.service.settings import longest_end_s
 from twostage_servo.service.status_line import StatusLine
+from twostage_servo.telemetry.learned_files import LearnedFiles
 from twostage_servo.telemetry.trip_files import TripFiles, default_folder
 from twostage_servo.timing.ticks import real_time_loop
 
@@ -105,18 +107,23 @@ async def _serve(
 ) -> None:
     settings, shutdown = parts.machine.service, parts.shutdown
     signals.call(shutdown.begin, asyncio.get_running_loop())
-    trip_files = TripFiles(Path(settings.trip_folder or default_folder()))
+    folder = Path(settings.trip_folder or default_folder())
+    trip_files, learned_files = TripFiles(folder), LearnedFiles(folder)
+    memory = LawMemory(parts.axis_loops, learned_files)
     with threads():
         trip_files.start()
+        if memory.is_used:
+            learned_files.start()
     path = socket_path(settings)
     control = ControlSocket(path, requests, parts.background, parts.names, shutdown.fail)
     status_line = StatusLine(parts.axis_loops, parts.statistics, shutdown, parts.period_s, notifier.status)
-    publishers = (control.publish, status_line.publish, announces_end(parts, notifier))
+    publishers = (control.publish, status_line.publish, memory.publish, announces_end(parts, notifier))
     service = build_service(parts, runtime, requests.status.report.snapshot_of, trip_files, publishers)
     try:
         await control.start()
     except OSError as error:
         raise StartError("socket", f"the control socket cannot be created at {path}: {error}", is_usage=True) from error
+    memory.restore()
     notifier.ready()
     structlog.get_logger().info("listening", socket=str(path), config=parts.machine.source, axes=parts.names)
     try:
@@ -124,6 +131,8 @@ async def _serve(
     finally:
         notifier.stopping(_longest_end_s(parts))
         await control.stop()
+        memory.finish()
+        await learned_files.close()
         trip_files.close()
         notifier.close()
 

@@ -29,7 +29,8 @@ class ServiceSettings(Settings):
     )
     trip_folder: str = Field(
         "",
-        description="Folder for the trip files; empty for systemd's state directory or the user's own",
+        description="Folder for the trip files, and for what laws have learned (axis.law.memory); empty for systemd's "
+        "state directory or the user's own",
         max_length=1000,
         pattern=r"^[^\x00-\x1f]*$",
     )
@@ -51,7 +52,7 @@ _PATIENCE: Final = 2.0
 """How many times its designed duration a stop may take; by then it has failed in any case (trip `braking_failed`)."""
 _LONGEST_MS: Final = 60_000.0
 _AFTER_BRAKING_S: Final = 12.0
-"""An opening of a bus that is under way is waited for, and a trip file; and the log is written."""
+"""An opening of a bus that is under way is waited for, a trip file, and what laws have learned; the log is written."""
 
 
 def stop_ms(design: "AxisDesign") -> float:
