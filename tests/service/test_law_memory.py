@@ -10,6 +10,7 @@ import pytest
 import structlog
 
 from tests.service.rig import World, simulate
+from tests.service.test_reload import change, reloading
 from tests.service.test_several_axes import DEMO, Plant, axis_page, machine_file, operate
 from twostage_servo.api.requests import ForgetRequest
 from twostage_servo.app.closed_loop import ClosedLoop
@@ -285,6 +286,30 @@ def test_a_folder_that_cannot_be_written_is_told_once_and_the_service_goes_on(tm
 
     (line,) = run(folder, script)
     assert (line["event"], line["log_level"], line["folder"]) == (UNWRITABLE, "warning", str(folder))
+
+
+@pytest.mark.parametrize(("key", "moves_after"), [("cruise_velocity = 100.0", 1), ("pole = 14.0  ", 0)])
+def test_a_configuration_that_is_read_again_keeps_the_file_and_a_trip_then_erases_it(
+    tmp_path: Path, key: str, moves_after: int
+) -> None:
+    config, folder = tmp_path / "axis.toml", tmp_path / "state"
+    config.write_text(DEMO.replace("[axis.law]\n", '[axis.law]\ntype = "adaptive"\nmemory = "file"\n'), "utf-8")
+
+    async def script(world: World) -> None:
+        await one_move(world)
+        world.axis.disarm()
+        await world.seconds(0.1)
+        world.prepare = reloading(world, config)
+        change(config, key, key.replace("0.0", "1.0").replace("4.0", "4.5"))
+        await world.reload()
+        await world.seconds(0.1)
+        assert moves(world) == moves_after
+        assert names(folder) == ["learned-x.json"]
+        world.axis.raise_trip(TripCode.DRIVE_NOT_DISABLED, "test")
+        await world.seconds(0.02)
+        assert names(folder) == []
+
+    assert run(folder, script) == []
 
 
 def test_two_axes_keep_what_is_their_own(tmp_path: Path) -> None:
