@@ -14,8 +14,9 @@ from twostage_servo.telemetry.state_file import erase_state, read_state, remove_
 
 _KILLED_BEFORE_IT_REPLACES = """
 import os, pathlib, signal, sys
+from twostage_servo.telemetry.state_file import write_state
 os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL)
-state_file.write_state(pathlib.Path(sys.argv[1]), {"new": True})
+write_state(pathlib.Path(sys.argv[1]), {"new": True})
 """
 
 
