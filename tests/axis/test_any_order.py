@@ -47,7 +47,7 @@ class AnyOrder(RuleBasedStateMachine):
         axis, law = self.rig.axis, self.rig.axis.law
         move = axis.move and (axis.move.number, axis.move.outcome)
         return (
-            axis.state, axis.trip, axis.escalation, axis.referenced, move,
+            axis.state, axis.trip, axis.escalation, axis.referenced, move, axis.override_percent, axis.set_point,
             law.stage, law.target, law.cruise_velocity, law.effort, law.effort_limit, law.observer.position,
         )  # fmt: skip
 
@@ -90,6 +90,11 @@ class AnyOrder(RuleBasedStateMachine):
     @rule(velocity=velocities)
     def jog(self, velocity: float) -> None:
         self.request(lambda: self.rig.axis.jog(velocity))
+
+    @rule(percent=st.floats(-10.0, 210.0) | st.sampled_from([0.0, 0.0, 100.0, math.nan]), count=st.integers(0, 40))
+    def override(self, percent: float, count: int) -> None:
+        self.request(lambda: self.rig.axis.set_override(percent))
+        self.ticks(count)
 
     @rule()
     def home(self) -> None:
@@ -241,6 +246,9 @@ class AnyOrder(RuleBasedStateMachine):
         assert axis.referenced or axis.state not in MOVING
         if axis.state in MOVING and axis.move is not None:
             assert abs(axis.move.target) <= 2500.0
+            assert axis.set_point == axis.move.target
+        assert axis.cruise_velocity <= 250.0
+        assert axis.state in DRIVEN or axis.override_percent == 100.0
 
     @invariant()
     def the_estimate_is_a_number(self) -> None:

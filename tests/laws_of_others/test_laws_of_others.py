@@ -8,8 +8,11 @@ from typing import Any
 
 import pytest
 
+from tests.axis.rig import DEMO, PERIOD_S, TRAITS, AxisRig
 from tests.laws_of_others import cascade, forget_laws, install
+from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.cli.main import main
 from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import load
@@ -140,3 +143,20 @@ def test_the_fault_campaign_holds_it_to_the_bounds_of_the_papers_law(capsys: pyt
     code, out, _ = run(capsys, "faults", "--simulated", "--fault", "1", "--phase", "idle", "--json", "--set", OTHER)
     (cell,) = json.loads(out)["cells"]
     assert (code, cell["met"]) == (0, True)
+
+
+@pytest.mark.usefixtures("cascade")
+def test_a_speed_override_slows_it_down_holds_it_and_lets_it_go_on() -> None:
+    settings = AxisSettings.model_validate(DEMO | {"law": {"type": "cascade"}})
+    rig = AxisRig(Axis(design_axis(settings, PERIOD_S), TRAITS)).armed()
+    move = rig.axis.move_to(300.0, 100.0)
+    for percent, velocity in ((100.0, 100.0), (30.0, 30.0), (0.0, 0.0), (150.0, 150.0), (0.0, 0.0)):
+        rig.axis.set_override(percent)
+        rig.seconds(0.8)
+        assert rig.velocity == pytest.approx(velocity, rel=0.02, abs=0.5)
+    for ticks in range(20):  # also while it brakes
+        rig.axis.set_override(100.0 if ticks % 2 else 0.0)
+        rig.seconds(0.05)
+    rig.seconds(5.0)
+    assert (move.outcome, rig.axis.trip) == ("reached", None)
+    assert rig.position == pytest.approx(300.0, abs=0.06)

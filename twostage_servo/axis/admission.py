@@ -4,8 +4,9 @@ import math
 
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.moves import LARGEST_OVERRIDE
 from twostage_servo.axis.refusals import Obstacle, RefusalCode, Refused
-from twostage_servo.axis.state import Event, State, next_state
+from twostage_servo.axis.state import OVERRIDABLE, Event, State, next_state
 from twostage_servo.axis.trips import Trip
 from twostage_servo.exact import exact
 
@@ -92,6 +93,24 @@ class Admission:
                 f"velocity {exact(velocity)} {self._unit}/s: at less than {self.slowest:.3g} {self._unit}/s the axis "
                 "would not move one encoder step in an hour.",
             )
+
+    def check_override(self, percent: float, state: State, trip: Trip | None) -> None:
+        """Refuse a speed override that is no percentage, or that would not outlast the next arming."""
+        if not (math.isfinite(percent) and 0.0 <= percent <= LARGEST_OVERRIDE):
+            raise Refused(
+                RefusalCode.BAD_REQUEST,
+                f"override {exact(percent)} %: it must be from 0, which holds the axis, to {LARGEST_OVERRIDE:g} %.",
+            )
+        if state in OVERRIDABLE:
+            return
+        if trip is not None:
+            raise Refused(RefusalCode.TRIPPED, f"{tripped_text(trip)} {trip.next_action}")
+        if state is State.ARMING:
+            raise Refused(RefusalCode.BUSY, "the axis is arming, and the override is 100 % then: wait until it holds.")
+        raise Refused(
+            RefusalCode.DISARMED,
+            f"the axis is {state}, and the override is 100 % again after each arming: `arm` it first.",
+        )
 
     def check_target(self, target: float, *, referenced: bool, lost_because: str = "") -> None:
         """Refuse a set-point (axis unit) outside the limits, and any on an axis that does not know its position.

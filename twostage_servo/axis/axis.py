@@ -15,13 +15,14 @@ from twostage_servo.axis.hazards import Hazards
 from twostage_servo.axis.jog_timer import JogTimer
 from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.motion import Motion
-from twostage_servo.axis.moves import Move
+from twostage_servo.axis.moves import USUAL_OVERRIDE, Move
 from twostage_servo.axis.operation import Operation
 from twostage_servo.axis.origin import Origin
 from twostage_servo.axis.reference import Reference
 from twostage_servo.axis.refusals import Obstacle
 from twostage_servo.axis.requests import Requests
-from twostage_servo.axis.state import CIA402, DRIVEN, ENABLED, State
+from twostage_servo.axis.speed_override import SpeedOverride
+from twostage_servo.axis.state import CIA402, DRIVEN, ENABLED, OVERRIDABLE, State
 from twostage_servo.axis.state_machine import StateMachine
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.axis.tick import AxisTick
@@ -98,7 +99,8 @@ class Axis:
         admission = Admission(design, drive, resolution)
         origin = Origin(drive, disabled, motion, count, reference)
         jog = JogTimer(design)
-        self._operation = operation = Operation(design, machine, motion, supervision, drive)
+        self._override = override = SpeedOverride(design, motion, admission.slowest)
+        self._operation = operation = Operation(design, machine, motion, supervision, drive, override)
         self._latch = latch = TripLatch(design, machine, operation, motion, reference)
         self._hazards = hazards = Hazards(settings, machine, drive, disabled)
         watch = DriveWatch(machine, drive, disabled, count, motion, reference, hazards, latch)
@@ -113,7 +115,7 @@ class Axis:
         self.arm, self.check_arming, self.disarm = requests.arm, requests.check_arming, requests.disarm
         self.move_to, self.check_move, self.move_by = requests.move_to, requests.check_move, requests.move_by
         self.jog, self.bar_jog, self.stop = requests.jog, jog.bar, requests.stop
-        self.home, self.set_position = requests.home, requests.set_position
+        self.home, self.set_position, self.set_override = requests.home, requests.set_position, requests.set_override
         self.reset, self.check_reset = requests.reset, requests.check_reset
         self.forget, self.check_forget = requests.forget, requests.check_forget
         self.slowest_velocity = admission.slowest
@@ -150,6 +152,11 @@ class Axis:
     def can_stop(self) -> bool:
         """Whether a stop is admitted."""
         return self.requests.can_stop
+
+    @property
+    def takes_override(self) -> bool:
+        """Whether a speed override is admitted."""
+        return self.machine.state in OVERRIDABLE
 
     # What it tells ---------------------------------------------------------------------------------------------------
 
@@ -244,18 +251,28 @@ class Axis:
 
     @property
     def set_point(self) -> float:
-        """The set-point in force, in axis unit."""
-        return self.motion.law.target
+        """The set-point in force, in axis unit; also where an override of 0 keeps the axis from it."""
+        kept = self._override.kept_target
+        return self.motion.law.target if kept is None else kept
 
     @property
     def cruise_velocity(self) -> float:
-        """Magnitude of the velocity that goes with the set-point, in axis unit/s."""
+        """Magnitude of the velocity that goes with the set-point, override included, in axis unit/s."""
         return self.motion.law.cruise_velocity
 
     @property
     def distance_to_go(self) -> float:
         """Distance from the estimated position to the set-point, in axis unit, never negative."""
-        return abs(self.motion.law.target - self.motion.law.observer.position)
+        return abs(self.set_point - self.motion.law.observer.position)
+
+    @property
+    def override_percent(self) -> float:
+        """The speed override in force, in percent of the speed that is asked for; 100 where the axis is not driven."""
+        return self._override.percent if self.machine.state in DRIVEN else USUAL_OVERRIDE
+
+    def velocity_in_force(self, velocity: float) -> float:
+        """Return what the override makes of a velocity (axis unit/s) that is asked for; 0 where it holds the axis."""
+        return self._override.speed(velocity, self.settings.limits.velocity)
 
     @property
     def speed_reference(self) -> float:

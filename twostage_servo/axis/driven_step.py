@@ -113,6 +113,8 @@ class DrivenStep:
     def _after_changeover(self) -> None:
         # The response is judged stage by stage: what the speed stage gained or lost does not count in the next.
         self._motion.nominal.continue_from(self._motion.law)
+        if self._operation.override.is_held:
+            self._supervision.forget_move()  # it has come to rest, on its way
         if self._machine.state in BRAKING:
             self._supervision.forget_move()
             self._machine.apply(Event.AT_REST)
@@ -139,6 +141,7 @@ class DrivenStep:
         if (
             position is None
             or self._motion.law.stage is not Stage.POSITION
+            or self._operation.override.is_held
             or not self._supervision.has_arrived(position)
             or self._operation.begin_last_leg()
         ):

@@ -1,6 +1,13 @@
 """A motion that was asked for, and what becomes of it."""
 
 import enum
+from typing import Final
+
+LARGEST_OVERRIDE: Final = 200.0
+"""Largest speed override, in percent; the speed stays within the velocity limit in any case."""
+
+USUAL_OVERRIDE: Final = 100.0
+"""Speed override of an axis that has just been armed, in percent."""
 
 
 class MoveKind(enum.StrEnum):

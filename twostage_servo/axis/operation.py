@@ -1,11 +1,12 @@
-"""What an axis is about: the move that was asked for, its legs, the search for a reference, and braking."""
+"""What an axis is about: the move that was asked for, its legs and speed, the search for a reference, and braking."""
 
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
 from twostage_servo.axis.homing import Homing
 from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.moves import Move, MoveKind, MoveOutcome
-from twostage_servo.axis.state import COMMANDED, Event
+from twostage_servo.axis.speed_override import Leg, SpeedOverride
+from twostage_servo.axis.state import COMMANDED, MOVING, Event
 from twostage_servo.axis.state_machine import StateMachine
 from twostage_servo.axis.supervision import Supervision
 from twostage_servo.control.laws.law import Stage
@@ -24,6 +25,8 @@ class Operation:
         What moves it, and what watches that.
     drive
         What its drive reports.
+    override
+        The share of its speed that a motion has.
 
     Attributes
     ----------
@@ -35,21 +38,31 @@ class Operation:
         Where a move that goes past its set-point first ends, in axis unit; None in its last leg.
     deceleration
         Of the present braking, or the latest, in axis unit/s².
+    override
+        As given.
     """
 
     __slots__ = (
-        "_design", "_drive", "_heading", "_machine", "_motion", "_moves", "_supervision", "deceleration",
-        "final_target", "homing", "move",
+        "_design", "_drive", "_heading", "_limit", "_machine", "_motion", "_moves", "_supervision", "deceleration",
+        "final_target", "homing", "move", "override",
     )  # fmt: skip
 
     def __init__(
-        self, design: AxisDesign, machine: StateMachine, motion: Motion, supervision: Supervision, drive: DriveReport
+        self,
+        design: AxisDesign,
+        machine: StateMachine,
+        motion: Motion,
+        supervision: Supervision,
+        drive: DriveReport,
+        override: SpeedOverride,
     ) -> None:
         self._design = design
+        self._limit = design.settings.limits.velocity
         self._machine = machine
         self._motion = motion
         self._supervision = supervision
         self._drive = drive
+        self.override = override
         self._moves = 0
         self._heading = 0.0
         self.move: Move | None = None
@@ -65,10 +78,14 @@ class Operation:
     @property
     def set_point(self) -> float:
         """Where the move in force ends, in axis unit."""
-        return self._motion.law.target if self.final_target is None else self.final_target
+        if self.final_target is not None:
+            return self.final_target
+        kept = self.override.kept_target
+        return self._motion.law.target if kept is None else kept
 
     def forget(self) -> None:
-        """Begin without a move."""
+        """Begin without a move, at 100 % of the speed of the next one."""
+        self.override.reset()
         self.move = self.final_target = None
 
     def announce(self, kind: MoveKind, target: float, velocity: float) -> Move:
@@ -80,19 +97,23 @@ class Operation:
     def end_move(self, outcome: MoveOutcome, reason: str | None = None) -> None:
         """End the move that is under way, if there is one."""
         self.final_target = None
+        self.override.end()
         if self.homing is not None:
             self.homing.end()
             self.homing = None
         if self.move is not None and self.move.outcome is MoveOutcome.MOVING:
             self.move.end(outcome, reason)
 
-    def set_target(self, target: float, velocity: float) -> None:
-        """Set out for a set-point in axis unit with a velocity in axis unit/s; the state stays as it is."""
+    def set_target(self, target: float, velocity: float, largest: float | None = None) -> None:
+        """Set out for a set-point in axis unit with a velocity in axis unit/s; the state stays as it is.
+
+        The override applies to the velocity; `largest` is what it may come to, the velocity limit if it is None.
+        """
         self._heading = target - self._motion.law.observer.position
         is_under_way = self._machine.state in COMMANDED
         if not is_under_way:
             self._motion.forget_former_moves()
-        self._motion.set_target(target, velocity)
+        self.override.set_out(Leg(target, velocity, self._limit if largest is None else largest))
         if is_under_way:
             self._supervision.change_move()
         else:
@@ -102,7 +123,7 @@ class Operation:
         """Set out for a set-point, by whichever stage the law begins with; `final_target` is that of a leg after it."""
         self.final_target = final_target
         self.set_target(target, velocity)
-        self._machine.apply(Event.MOVE_SPEED if self._motion.law.stage is Stage.SPEED else Event.MOVE_POSITION)
+        self._tell_stage()
 
     def begin_last_leg(self) -> bool:
         """Set out for the end of a move that has gone past its set-point first; return whether there is one."""
@@ -112,6 +133,24 @@ class Operation:
         self._supervision.begin_move()  # it has come to rest here
         self.begin_leg(target, self.move.velocity)
         return True
+
+    def change_override(self, percent: float) -> None:
+        """Take another share of the speed, in percent: in the motion that is under way, and in those to come."""
+        law, was_held = self._motion.law, self.override.is_held
+        was_at_rest = was_held and law.stage is Stage.POSITION
+        if not self.override.change(percent):
+            return
+        if was_held:
+            self._heading = law.target - law.observer.position  # the stop may have gone beyond it
+        if was_at_rest:
+            self._supervision.begin_move()
+        else:
+            self._supervision.change_move()
+        if self._machine.state in MOVING:
+            self._tell_stage()
+
+    def _tell_stage(self) -> None:
+        self._machine.apply(Event.MOVE_POSITION if self._motion.law.stage is Stage.POSITION else Event.MOVE_SPEED)
 
     def begin_homing(self) -> None:
         """Begin to look for the reference."""

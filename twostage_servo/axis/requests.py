@@ -176,7 +176,8 @@ class Requests:
                 "this axis was stopped by another client: release the jog for "
                 f"{self._settings.jog_timeout_ms:g} ms, check the axis, and jog again.",
             )
-        check.check_velocity(abs(velocity), limits.velocity if self._referenced else self._settings.homing.velocity)
+        largest = limits.velocity if self._referenced else self._settings.homing.velocity
+        check.check_velocity(abs(velocity), largest)
         check.check_state(self._machine.state, Event.JOG, self.present_trip)
         check.check_switches(velocity)
         self._jog.renew()
@@ -192,9 +193,23 @@ class Requests:
                     RefusalCode.POSITION_LIMIT, f"the axis stands at its limit of {target:g} {self._settings.unit}."
                 )
         self._operation.end_move(MoveOutcome.REPLACED)
-        self._operation.set_target(target, abs(velocity))
+        self._operation.set_target(target, abs(velocity), largest)
         self._machine.apply(Event.JOG)
         self._operation.announce(MoveKind.JOG, target, velocity)
+
+    def set_override(self, percent: float) -> None:
+        """Let the axis move at a percentage of the speed that is asked for, from 0 to 200, until it is armed again.
+
+        It applies at once to a move or a jog, and to those to come; not to homing, nor to a stop. The speed never goes
+        beyond the velocity limit. 0 brings the axis to rest with the acceleration limit, and keeps its set-point.
+
+        Raises
+        ------
+        Refused
+            If it is not a number from 0 to 200, or the axis is not armed or is about to be disarmed.
+        """
+        self._admission.check_override(percent, self._machine.state, self.present_trip)
+        self._operation.change_override(percent)
 
     def home(self) -> None:
         """Look for the reference as the settings say; `set_here` takes the place where the axis is.

@@ -144,6 +144,9 @@ COMMANDED = frozenset(_COMMANDED)
 BRAKING = frozenset({_S.STOPPING, _S.QUICK_STOPPING, _S.DISARMING, _S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP})
 """States in which the axis is being brought to rest."""
 
+OVERRIDABLE = COMMANDED | {State.HOLDING, State.STOPPING, State.QUICK_STOPPING}
+"""States of an axis that is armed and stays so: it takes a speed override, if only for its next motion."""
+
 LATCHED = frozenset({_S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP, _S.TRIPPED})
 """States of an axis that has tripped."""
 

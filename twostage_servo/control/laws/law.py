@@ -59,8 +59,9 @@ class Law(Protocol):
         """Hold the estimated position, as if it had given `effort` so far; the observer has been tracking the axis."""
 
     def set_target(self, target: float, velocity: float) -> None:
-        """Go to a set-point with a cruise velocity greater than 0, at rest or in mid-move; the effort stays continuous.
+        """Go to a set-point with a cruise velocity greater than 0; the effort stays continuous.
 
+        At rest, in mid-move, and in a stop that has not ended: so a speed override changes the velocity at any time.
         Ends in the position stage.
         """
 
