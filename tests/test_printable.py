@@ -124,7 +124,7 @@ def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -
         axis=AxisStatus(
             name=text, unit=text, effort_unit=text, state=State.TRIPPED, cia402=text, referenced=False, reference=None,
             reference_lost=text, position=1.0, feedback_age_ms=None, velocity=None, disturbance=None, effort=0.0,
-            target=None, following_error=0.0, saturated=False,
+            target=None, following_error=0.0, saturated=False, override_percent=50.0,
         ),
         move=None,
         trip=TripStatus(

@@ -150,7 +150,9 @@ def test_what_is_no_status_is_told_by_its_name() -> None:
 
 @pytest.mark.parametrize("op", OPERATIONS)
 def test_a_request_as_it_is_sent_is_as_its_schema_says(op: str) -> None:
-    needed: dict[str, dict[str, Any]] = {"jog": {"velocity": 1.0}, "move": {"positions": {"x": 1}}}
+    needed: dict[str, dict[str, Any]] = {
+        "jog": {"velocity": 1.0}, "move": {"positions": {"x": 1}}, "override": {"percent": 0.0},
+    }  # fmt: skip
     request = OPERATIONS[op](**needed.get(op, {}))
     schema = schema_of_request(OPERATIONS[op])
     assert Checker(schema).complaints(schema, request.to_json()) == []

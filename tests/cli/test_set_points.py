@@ -33,7 +33,9 @@ def test_anything_else_is_explained(typed: list[str]) -> None:
 @pytest.mark.parametrize(
     "slip", ["1_0", "\u0661\u0662", "\uff11\uff12", "1e1_0", "0x10", "1,5", "- 5", "", "1 0", "x=1_0", "x="]
 )
-@pytest.mark.parametrize("verb", [["move"], ["move", "--by"], ["move", "1", "--velocity"], ["jog"], ["home", "--here"]])
+@pytest.mark.parametrize(
+    "verb", [["move"], ["move", "--by"], ["move", "1", "--velocity"], ["jog"], ["override"], ["home", "--here"]]
+)
 def test_what_looks_like_a_slip_is_no_number(verb: list[str], slip: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         build_parser().parse_args([*verb, slip])

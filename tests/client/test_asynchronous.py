@@ -46,6 +46,7 @@ def test_a_working_day(tmp_path: Path) -> None:
         reached = await axis.move_by(-50.0, velocity=20.0, wait=True)
         assert reached.move is not None
         assert (reached.move.target, reached.move.velocity) == (50.0, 20.0)
+        assert (await axis.override(50.0)).axis.override_percent == 50.0
         await axis.home(0.0)
         assert (await axis.status()).axis.position == pytest.approx(0.0, abs=0.5)
         await axis.move(300.0)

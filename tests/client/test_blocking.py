@@ -31,6 +31,7 @@ OF_AN_AXIS: dict[str, Verb] = {
     "arm": lambda client: client.arm(),
     "move": lambda client: client.move(1.0),
     "home": lambda client: client.home(2.0),
+    "override": lambda client: client.override(50.0),
     "reset": lambda client: client.reset(),
     "forget": lambda client: client.forget(),
 }
@@ -62,16 +63,18 @@ def test_what_concerns_all_axes_names_none(script: Script, op: str) -> None:
 
 def test_a_request_says_what_was_asked_for(script: Script) -> None:
     with script.connect() as client:
-        script.answers(*[done()] * 5)
+        script.answers(*[done()] * 6)
         client.move(400, velocity=20)
         client.move_by(-1.5)
         client.move({"x": 1, "y": 2}, velocity=3.0)
         client.home(7)
+        client.override(50)
         assert script.asked() == [
             {"op": "move", "position": 400.0, "velocity": 20.0},
             {"op": "move", "by": -1.5},
             {"op": "move", "positions": {"x": 1.0, "y": 2.0}, "velocity": 3.0},
             {"op": "home", "position": 7.0},
+            {"op": "override", "percent": 50.0},
         ]
 
 

@@ -17,7 +17,7 @@ from twostage_servo.service.control_socket import ControlSocket
 
 COMMANDS: list[dict[str, Any]] = [
     {"op": "arm"}, {"op": "reset"}, {"op": "move", "position": 0.0}, {"op": "jog", "velocity": 5.0}, {"op": "home"},
-    {"op": "home", "position": 3.0}, {"op": "reload"},
+    {"op": "home", "position": 3.0}, {"op": "reload"}, {"op": "override", "percent": 50},
 ]  # fmt: skip
 
 

@@ -24,7 +24,8 @@ class WrittenDown:
         self.name = name
         self.state = State.DISARMED
         self.trip: object | None = None
-        self.can_stop = True
+        self.can_stop = self.takes_override = True
+        self.override_percent = 100.0
         self.slowest_velocity = 0.5
         self.settings = SimpleNamespace(cruise_velocity=100.0)
         self.estimate = SimpleNamespace(position=0.0)
@@ -34,6 +35,9 @@ class WrittenDown:
         )
         self.told: list[tuple[Any, ...]] = []
         self.refuses: set[str] = set()
+
+    def velocity_in_force(self, velocity: float) -> float:
+        return min(velocity * self.override_percent / 100.0, 250.0)
 
     def __getattr__(self, name: str) -> Any:
         def tell(*arguments: Any, **named: Any) -> None:
@@ -152,6 +156,30 @@ def test_where_some_axes_can_stop_only_these_are_told_to() -> None:
     service.axes["y"].can_stop = False
     service.axes["x"].refuses = {"stop"}
     assert service.refusal(op="stop") == ("busy", "axis x: x refuses stop")
+
+
+def test_where_some_axes_are_armed_only_these_are_overridden() -> None:
+    service = Service()
+    service.ask(op="override", percent=50)
+    assert service.told() == {"x": [("set_override", 50.0)], "y": [("set_override", 50.0)]}
+    service.axes["x"].takes_override = False
+    service.ask(op="override", percent=0)
+    assert service.told() == {"x": [("set_override", 50.0)], "y": [("set_override", 50.0), ("set_override", 0.0)]}
+    service.axes["y"].takes_override = False
+    service.axes["x"].refuses = {"set_override"}
+    assert service.refusal(op="override", percent=10) == ("busy", "axis x: x refuses set_override")
+
+
+@pytest.mark.parametrize("percent", [0.0, 50.0, 200.0])
+def test_axes_that_move_together_do_so_at_their_overrides(percent: float) -> None:
+    """At 200 % the limit of 250 is beyond what is asked for; one that is held is taken for one at 100 %."""
+    service = Service()
+    service.axes["x"].override_percent = percent
+    service.ask(op="move", positions={"x": 400.0, "y": 400.0}, velocity=100.0)
+    share = percent / 100.0 or 1.0
+    slower = min(100.0 * share, 100.0)
+    assert service.axes["x"].told[-1] == ("move_to", 400.0, pytest.approx(slower / share))
+    assert service.axes["y"].told[-1] == ("move_to", 400.0, pytest.approx(slower))
 
 
 def test_where_some_axes_have_tripped_only_these_are_reset() -> None:

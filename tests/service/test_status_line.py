@@ -36,6 +36,19 @@ def test_what_an_axis_does_is_told_once_a_change() -> None:
     simulate(script)
 
 
+def test_an_override_is_told_while_it_is_in_force() -> None:
+    async def script(world: World) -> None:
+        await world.cruising()
+        assert world.line() == "x moving"
+        world.axis.set_override(0.0)
+        assert world.line() == "x moving, override 0 %"
+        world.axis.disarm()
+        await world.until(lambda: world.state() is State.DISARMED)
+        assert world.line() == "x disarmed"
+
+    simulate(script)
+
+
 def test_a_line_that_could_not_be_told_is_told_later() -> None:
     async def script(world: World) -> None:
         busy, lines = True, list[str]()

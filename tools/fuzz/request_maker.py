@@ -97,6 +97,8 @@ class RequestMaker:
         if kind == "integer":
             low = field["minimum"]
             return rng.randint(low, min(field["maximum"], low + rng.choice((5, 10_000))))
+        if kind == "number" and field["unit"] == "%":
+            return rng.choice((0.0, 100.0, rng.uniform(field["minimum"], field["maximum"])))
         if kind == "number":
             limits = settings.limits
             largest = limits.velocity if "velocity" in name else limits.position_maximum

@@ -4,6 +4,7 @@ from typing import Any, ClassVar, Final, dataclass_transform, get_args
 
 from twostage_servo.api.fields import Flag, JsonObject, Kind, Number, NumbersByName, Text
 from twostage_servo.api.plain import Plain
+from twostage_servo.axis.moves import LARGEST_OVERRIDE
 
 MOST_PROBLEMS: Final = 5
 """Problems of a request that its refusal names."""
@@ -182,6 +183,15 @@ class JogRequest(AxisRequest):
     )
 
 
+class OverrideRequest(AxisRequest):
+    """Move at a percentage of the speed that is asked for, now and until the axis is armed again; 0 holds it."""
+
+    op: ClassVar[str] = "override"
+    percent: float = holds(
+        Number(description="Share of the speed of each move and jog", unit="%", minimum=0.0, maximum=LARGEST_OVERRIDE)
+    )
+
+
 class HomeRequest(AxisRequest):
     """Look for the reference as ``[axis.homing]`` says; with `position`, say where the axis stands now."""
 
@@ -244,6 +254,7 @@ Request = (
     | ResetRequest
     | MoveRequest
     | JogRequest
+    | OverrideRequest
     | HomeRequest
     | ForgetRequest
     | ReleaseRequest

@@ -29,6 +29,8 @@ class AxisStatus(JsonRecord):
         Estimates, and the set-point; None while the law does not run.
     effort, following_error, saturated
         What was sent; how far the axis is from where it should be; whether the effort is at its limit.
+    override_percent
+        The speed override in force; 100 while the law does not run.
     """
 
     name: str
@@ -47,6 +49,7 @@ class AxisStatus(JsonRecord):
     target: float | None
     following_error: float
     saturated: bool
+    override_percent: float
 
 
 class MoveStatus(JsonRecord):

@@ -1,7 +1,7 @@
 """What the operator is shown of an axis: a line, or the rows of `status`."""
 
 from twostage_servo.api.status import AxisReport, AxisStatus, Status, TripStatus
-from twostage_servo.axis.moves import MoveKind, MoveOutcome
+from twostage_servo.axis.moves import USUAL_OVERRIDE, MoveKind, MoveOutcome
 from twostage_servo.axis.reference import ReferenceSource
 from twostage_servo.axis.state import DRIVEN, LATCHED, State
 from twostage_servo.cli.output import bar
@@ -24,6 +24,8 @@ def line_of(report: AxisReport) -> str:
     text = f"{axis.name}: {axis.state} at {_number(axis.position, axis.unit)}"
     if axis.velocity is not None and axis.state is not State.HOLDING:
         text += f", {axis.velocity:.1f} {axis.unit}/s"
+    if axis.override_percent != USUAL_OVERRIDE:
+        text += f", override {axis.override_percent:g} %"
     if not axis.referenced:
         text += ", not homed"
     if unheard := unheard_of(report):
@@ -72,8 +74,10 @@ def progress_line(report: AxisReport) -> str:
     if move is None or axis.position is None:
         return line_of(report)
     length = move.target - move.start
+    percent = axis.override_percent
+    slowed = f", override {percent:g} %" if percent != USUAL_OVERRIDE else ""
     share = (axis.position - move.start) / length if length else 1.0
-    return f"{bar(share)} {axis.position:10.3f} {axis.unit} of {move.target:g}, {axis.state}"
+    return f"{bar(share)} {axis.position:10.3f} {axis.unit} of {move.target:g}, {axis.state}{slowed}"
 
 
 def describe(status: Status) -> str:
@@ -124,11 +128,18 @@ def _of_law(report: AxisReport) -> str:
     )
 
 
+def _override(percent: float) -> str:
+    """Return what the override is, and what it does to an axis where that is not plain."""
+    held = ": the axis is held, and goes on to its set-point when the override rises" if percent == 0.0 else ""
+    return f"{percent:g} %{held}"
+
+
 def _rows_of_axis(report: AxisReport) -> list[tuple[str, str]]:
     axis, frames, bus = report.axis, report.frames, report.bus
     return [
         ("axis", line_of(report)),
         ("positions", _reference(axis)),
+        ("speed override", _override(axis.override_percent)),
         ("effort", f"{axis.effort:.3f} {axis.effort_unit}" + (" (at its limit)" if axis.saturated else "")),
         ("following error", f"{axis.following_error:.3f} {axis.unit}"),
         ("law", _of_law(report)),

@@ -64,6 +64,16 @@ def _add_jog(verbs: "_Verbs") -> None:
     jog.add_argument("--seconds", type=decimal, metavar="S", help="end after S seconds (default: at Ctrl-C)")
 
 
+def _add_override(verbs: "_Verbs") -> None:
+    override = _verb(verbs, "override", "change the speed of moves and jogs, also of one under way; 0 holds the axis")
+    override._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
+    override.add_argument(
+        "percent",
+        type=decimal,
+        help="0 to 200, of the speed that is asked for and within axis.limits.velocity; 100 again after each arming",
+    )
+
+
 def _add_home(verbs: "_Verbs") -> None:
     home = _verb(verbs, "home", "find the reference of the positions")
     home._negative_number_matcher = re.compile(r"-\.?\d")  # noqa: SLF001 - likewise
@@ -103,6 +113,7 @@ VERBS: "Final[Mapping[str, Callable[[_Verbs], None]]]" = {
     "disarm": _add_disarm,
     "move": _add_move,
     "jog": _add_jog,
+    "override": _add_override,
     "home": _add_home,
     "stop": _add_stop,
     "reset": _add_reset,

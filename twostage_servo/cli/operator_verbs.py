@@ -156,6 +156,11 @@ def _jog(options: argparse.Namespace) -> ExitCode:
         return _finish(options, client.wait_until_settled())
 
 
+def _override(options: argparse.Namespace) -> ExitCode:
+    with _connected(options) as client:
+        return _finish(options, client.override(options.percent))
+
+
 def _home(options: argparse.Namespace) -> ExitCode:
     with _connected(options) as client:
         if options.here is not None:
@@ -310,6 +315,7 @@ _VERBS: Final[dict[str, Callable[[argparse.Namespace], ExitCode]]] = {
     "disarm": _disarm,
     "move": _move,
     "jog": _jog,
+    "override": _override,
     "home": _home,
     "stop": _stop,
     "reset": _reset,

@@ -148,6 +148,10 @@ class AsyncServoClient:
         """Move relative to the set-point in force; see :meth:`move`."""
         return await self._run(self._verbs.move_by(distance, velocity, wait=wait, timeout_s=timeout, progress=progress))
 
+    async def override(self, percent: float) -> Status:
+        """See :meth:`.ServoClient.override`."""
+        return await self._run(self._verbs.override(percent))
+
     async def home(
         self,
         position: float | None = None,

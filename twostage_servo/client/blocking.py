@@ -197,6 +197,14 @@ class ServoClient:
         """Move relative to the set-point in force; see :meth:`move`."""
         return self._run(self._verbs.move_by(distance, velocity, wait=wait, timeout_s=timeout, progress=progress))
 
+    def override(self, percent: float) -> Status:
+        """Move at a percentage of the speed that is asked for, from 0 to 200, now and until the axis is armed again.
+
+        It never goes beyond the velocity limit. 0 brings the axis to rest, which keeps its set-point and goes on when
+        the override rises. Without a name it concerns all axes that are armed.
+        """
+        return self._run(self._verbs.override(percent))
+
     def home(
         self, position: float | None = None, *, timeout: float | None = None, progress: Progress | None = None
     ) -> Status:

@@ -14,6 +14,7 @@ from twostage_servo.api.requests import (
     HomeRequest,
     JogRequest,
     MoveRequest,
+    OverrideRequest,
     PreemptRequest,
     RecordingRequest,
     ReleaseRequest,
@@ -171,6 +172,10 @@ class Verbs:
         if not wait:
             return begun
         return (yield from self._reached(begun, list(request.positions or begun.axes), timeout_s, progress))
+
+    def override(self, percent: float) -> Verb[Status]:
+        """Move at a percentage of the speed that is asked for."""
+        return (yield from self._asked(_made(OverrideRequest, axis=self._axis, percent=percent)))
 
     def home(self, position: float | None, *, timeout_s: float | None, progress: Progress | None) -> Verb[Status]:
         """Look for the reference and wait until it is found; with a position, say where the axis stands."""

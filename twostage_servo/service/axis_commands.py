@@ -6,6 +6,7 @@ from typing import Any
 
 from twostage_servo.api.requests import MoveRequest
 from twostage_servo.axis.axis import Axis
+from twostage_servo.axis.moves import USUAL_OVERRIDE
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.service.axis_loop import AxisLoop
 from twostage_servo.service.synchronised_move import velocities_to_arrive_together
@@ -134,20 +135,31 @@ class AxisCommands:
                 axis.move_by(request.by, speed)
 
     def _move_together(self, positions: dict[str, float], velocity: float | None) -> None:
-        moves = []
+        moves, asked = [], []
         for name, position in positions.items():
             (axis_loop,) = self.addressed(name)
             with self._named(axis_loop) as axis:
                 speed = axis.settings.cruise_velocity if velocity is None else velocity
                 axis.check_move(position, speed)
-            moves.append((axis, position, speed))
-        for (axis, position, _), speed in zip(moves, velocities_to_arrive_together(moves), strict=True):
-            axis.move_to(position, max(speed, axis.slowest_velocity))  # a short way beside a very long one
+            in_force = axis.velocity_in_force(speed)
+            moves.append((axis, position, in_force or speed))
+            asked.append((speed, axis.override_percent / USUAL_OVERRIDE if in_force else 1.0))
+        together = velocities_to_arrive_together(moves)
+        for (axis, position, _), (most, share), speed in zip(moves, asked, together, strict=True):
+            # What its override makes of it is the speed; and a short way beside a very long one needs nearly none.
+            axis.move_to(position, max(min(speed / share, most), axis.slowest_velocity))
 
     def jog(self, axis_loops: Sequence[AxisLoop], velocity: float) -> None:
         """Let one axis move at a velocity in its unit/s for as long as this is asked for again."""
         with self._named(self.only(axis_loops)) as axis:
             axis.jog(velocity)
+
+    def override(self, axis_loops: Sequence[AxisLoop], percent: float) -> None:
+        """Let those of the axes that are armed move at a percentage of the speed that is asked for."""
+        armed = [axis_loop for axis_loop in axis_loops if axis_loop.axis.takes_override]
+        for axis_loop in armed or axis_loops:  # none is: the first says why
+            with self._named(axis_loop) as axis:
+                axis.set_override(percent)
 
     def home(self, axis_loops: Sequence[AxisLoop], position: float | None) -> None:
         """Let one axis look for its reference, or tell it its position."""

@@ -16,6 +16,7 @@ from twostage_servo.api.requests import (
     HomeRequest,
     JogRequest,
     MoveRequest,
+    OverrideRequest,
     PreemptRequest,
     RecordingRequest,
     ReleaseRequest,
@@ -260,6 +261,8 @@ class RequestHandler:
                 self._commands.move(addressed, request)
             case JogRequest(velocity=velocity):
                 self._commands.jog(addressed, velocity)
+            case OverrideRequest(percent=percent):
+                self._commands.override(addressed, percent)
             case HomeRequest(position=position):
                 self._commands.home(addressed, position)
             case ForgetRequest():

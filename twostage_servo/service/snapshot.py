@@ -161,6 +161,7 @@ def _axis_status(axis_loop: "AxisLoop") -> AxisStatus:
         target=axis.set_point if driven else None,
         following_error=axis.following_error,
         saturated=driven and axis.saturated,
+        override_percent=axis.override_percent,
     )
 
 

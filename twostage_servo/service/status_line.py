@@ -2,6 +2,7 @@
 
 from typing import TYPE_CHECKING, Final
 
+from twostage_servo.axis.moves import USUAL_OVERRIDE
 from twostage_servo.axis.state import State
 from twostage_servo.printable import printable
 
@@ -101,6 +102,8 @@ def status_line(axis_loops: "Sequence[AxisLoop]", missed_lately: int, *, is_endi
 def _of(axis_loop: "AxisLoop") -> str:
     axis, bus = axis_loop.axis, axis_loop.bus
     words = f"{axis_loop.name} {WORDS[axis.state]}"
+    if axis.override_percent != USUAL_OVERRIDE:
+        words = f"{words}, override {axis.override_percent:g} %"
     if axis.disabled.moved is not None:
         words = f"{words}, moved by {axis.disabled.moved:+.3g} {axis.settings.unit} while disabled"
     if axis.trip is not None:
