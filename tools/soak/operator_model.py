@@ -15,6 +15,9 @@ from twostage_servo.axis.state import State
 _MENDED_AT_ONCE = 0.6
 """Share of trips with a wrong encoder after which the operator mends it before going on."""
 
+_RAISED_AT_ONCE = 0.5
+"""Share of the requests after an override of 0 that change it again: a held axis shows little."""
+
 
 class OperatorModel:
     """Asks an axis for something, one thing at a time.
@@ -44,7 +47,7 @@ class OperatorModel:
         self.requests = self.refusals = self.moves_reached = 0
         self._commands: tuple[Callable[[], object], ...] = (
             *[self._move] * 6, *[self._move_nearby] * 5, *[self._step] * 2, *[self._jog] * 2, axis.stop,
-            self._quick_stop, axis.disarm, axis.arm, self._say_where, self._ask_nonsense,
+            self._quick_stop, self._override, axis.disarm, axis.arm, self._say_where, self._ask_nonsense,
             *([self._home] * 2 if self._homes else []),
         )  # fmt: skip
 
@@ -59,6 +62,8 @@ class OperatorModel:
             self._arm()
         elif not axis.referenced and self._homes and axis.state is State.HOLDING and self._random.random() < 0.8:
             self._ask(self._home)
+        elif axis.override_percent == 0.0 and self._random.random() < _RAISED_AT_ONCE:
+            self._ask(self._override)
         else:
             self._ask(self._random.choice(self._commands))
 
@@ -116,18 +121,26 @@ class OperatorModel:
     def _move_to(self, target: float) -> None:
         velocity, at_rest = self._velocity_asked(), self._at_rest()
         self._axis.move_to(target, velocity)
-        self._watch.move_asked(self._drive.position, velocity, at_rest=at_rest)
+        self._watch.move_asked(self._drive.position, self._in_force(velocity), at_rest=at_rest)
 
     def _step(self) -> None:
         velocity, at_rest = self._velocity_asked(), self._at_rest()
         step = 0.02 * self._axis.settings.limits.velocity
         self._axis.move_by(self._random.uniform(-step, step), velocity)
-        self._watch.move_asked(self._drive.position, velocity, at_rest=at_rest)
+        self._watch.move_asked(self._drive.position, self._in_force(velocity), at_rest=at_rest)
 
     def _jog(self) -> None:
         velocity, at_rest = self._velocity_asked(), self._at_rest()
         self._axis.jog(self._random.choice((-1.0, 1.0)) * velocity)
-        self._watch.move_asked(self._drive.position, velocity, at_rest=at_rest)
+        self._watch.move_asked(self._drive.position, self._in_force(velocity), at_rest=at_rest)
+
+    def _override(self) -> None:
+        """Change the speed override, but not while the encoder counts wrongly: its bounds go by the speed asked for."""
+        if not self._watch.active:
+            self._axis.set_override(self._random.choice((0.0, 100.0, self._random.uniform(0.0, 200.0))))
+
+    def _in_force(self, velocity: float) -> float:
+        return self._axis.velocity_in_force(velocity) or velocity
 
     def _ask_nonsense(self) -> None:
         beyond = self._axis.settings.limits.position_maximum * 1.001
