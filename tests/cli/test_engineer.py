@@ -176,6 +176,13 @@ def test_an_effort_in_another_unit_than_the_drives_is_refused(
     assert "axis.effort_unit = \"V\": the drive's command signal is in 'Nm'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("gain", [150, 180, 195, 216])
+def test_check_takes_the_adaptive_law_on_plants_around_the_demos(gain: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its cruise begins at speed, which the law once took for a move from rest."""
+    assert main(["check", "--set", "axis.law.type=adaptive", "--set", f"axis.plant.gain={gain}", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["valid"]
+
+
 @pytest.mark.parametrize(("shutdown_timeout_ms", "asked_s"), [(800, 13.3), (60_000, 72.5)])
 def test_check_says_how_long_a_service_manager_has_to_wait(
     capsys: pytest.CaptureFixture[str], shutdown_timeout_ms: int, asked_s: float

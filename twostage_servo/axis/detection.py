@@ -185,7 +185,12 @@ def _detect(design: AxisDesign, change: str, phase: str, velocity: float) -> Det
     run = _Run(design, velocity)
     for _ in range(_SETTLING_TICKS):
         if run.tick():
-            raise RuntimeError(f"an undisturbed cruise at {velocity:g} is mistaken for one with a faulty encoder")
+            unit = design.settings.unit
+            raise DesignError(
+                ("axis", "law", "type"),
+                f"with this law an undisturbed cruise at {velocity:g} {unit}/s looks like one with a faulty encoder, and "
+                "the axis would trip: choose another law, or other keys of it",
+            )
     if phase == "stopping":
         run.stop()
         for _ in range(design.ticks(1e3 * _STOPPING_S)):

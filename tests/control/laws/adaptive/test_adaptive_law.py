@@ -304,3 +304,41 @@ def test_noise_is_measured_at_rest_and_chooses_the_poles() -> None:
         law.control_estimate.model.poles
         == noisy.build(DisturbanceObserver(made.sampled, made.kalman.predictor)).control_estimate.model.poles
     )
+
+
+def test_a_move_that_begins_at_speed_shows_no_plant_and_keeps_its_speed() -> None:
+    """As where a service takes over an axis that moves: identified from there, it was any plant, and ran away."""
+    rig = Rig(task())
+    rig.plant = TruePlant(TrueAxis(180.0, 14.0, quantum=0.0), PERIOD_S, 1)
+    rig.plant.velocity = rig.law.observer.velocity = 100.0
+    rig.law.start(100.0 * 14.0 / 180.0)
+    rig.move(1000.0, 100.0, 60)
+    assert isinstance(rig.law, LearningLaw)
+    assert not rig.law.control_estimate.is_identifying
+    assert min(rig.velocities) == pytest.approx(100.0, abs=6.0)
+    assert max(rig.velocities) == pytest.approx(100.0, abs=6.0)
+    assert rig.law.learned.moves == 0
+
+
+def test_a_move_that_is_given_up_early_leaves_the_next_one_the_poles_of_an_unknown_plant() -> None:
+    """It goes on by what it has found, quickly; but what is configured is not known any better for it."""
+    rig = Rig(task(), 1.25, 0.8).ticks(50).move(400.0, 100.0, 30)
+    unknown = law_of(task()).control_estimate.model.observer_gain
+    rig.law.set_target(390.0, 90.0)
+    assert rig.law.control_estimate.model.plant.gain == pytest.approx(225.0, rel=0.05)
+    assert rig.law.control_estimate.model.observer_gain[0] > 1.5 * unknown[0]
+    assert not rig.law.learned.is_sure
+    rig.ticks(600).law.set_target(0.0, 100.0)
+    assert rig.law.control_estimate.model.observer_gain == pytest.approx(unknown)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.0316])
+def test_the_noise_of_an_encoder_is_measured_at_each_place_by_itself(noise: float) -> None:
+    """The step from one place to the next was taken for noise of a metre: quick poles were used in no second move."""
+    rig, chance = Rig(task(), 0.9), random.Random(3)  # noqa: S311 - not for secrets
+    for target in (400.0, 0.0, -400.0):
+        rig.law.set_target(target, 100.0)
+        for _ in range(1000):
+            effort = rig.law.step(rig.plant.sample() + chance.gauss(0.0, noise))
+            rig.plant.advance(effort)
+        assert rig.law.control_estimate.noise == pytest.approx(noise, abs=0.3 * noise + 0.001)

@@ -119,7 +119,6 @@ class ControlEstimate:
         """Go on from the estimate of the axis' observer, as if an effort (effort unit) had acted so far."""
         self._efforts = effort, effort, effort
         self._take(axis)
-        self._rest.clear()
 
     def continue_from(self, other: "ControlEstimate", axis: DisturbanceObserver) -> None:
         """Go on where another one stands, with the axis' estimate and what is believed here."""
@@ -221,10 +220,11 @@ class ControlEstimate:
     def give_up(self) -> None:
         """End to look, because something else happens; go on with the model of this move only if it is known well."""
         self._expected_load = None
+        self._rest.clear()  # what was seen at one place says nothing of the noise at another
         if not self.learning.active:
             return
         if self.learning.give_up():
-            self._adopt(self.model.plant)
+            self._adopt(self.model.plant, is_known=True)
         else:
             self._return_to_believed()
 
@@ -275,11 +275,11 @@ class ControlEstimate:
         disturbance = (acceleration + plant.pole * observer.velocity) / plant.gain - self._acted
         observer.correct(observer.velocity, disturbance)
 
-    def _adopt(self, plant: Plant) -> None:
-        """Go on with a plant, by poles that go with what is known of it."""
+    def _adopt(self, plant: Plant, *, is_known: bool = False) -> None:
+        """Go on with a plant, by poles that go with what is known of it, or with `is_known` of this one."""
         learning, rules = self.learning, self._rules
         poles = encoder_poles(self.noise, self._unit)
-        if not learning.is_known:
+        if not (is_known or learning.is_known):
             poles = poles.slower(rules.unknown)
         elif learning.is_late:
             poles = poles.slower(rules.late)

@@ -31,6 +31,9 @@ from twostage_servo.control.laws.stop import Stop
 from twostage_servo.control.observer import DisturbanceObserver
 
 _SPEED, _POSITION, _BRAKE = Stage.SPEED, Stage.POSITION, Stage.BRAKE
+
+_STANDING_SHARE = 0.1
+"""Share of the speed of a move up to which an axis counts as standing: what the noise of an estimate may show."""
 """Looked up once, since a look-up of a member costs a measurable part of a step."""
 
 
@@ -96,7 +99,7 @@ class AdaptiveLaw:
     def set_target(self, target: float, velocity: float) -> None:
         """Go to a set-point (axis unit) with a cruise velocity (axis unit/s); the effort stays continuous."""
         estimate, course = self._estimate, self._course
-        at_rest = self.stage is _POSITION and course.braking is None
+        at_rest = self.stage is _POSITION and course.braking is None and self._stands(velocity)
         if self.stage is _BRAKE:
             estimate.start(self.observer, self.effort)
         estimate.give_up()
@@ -110,6 +113,10 @@ class AdaptiveLaw:
         if at_rest:
             self._departure.hold(self.effort)
             estimate.begin_move(direction)
+
+    def _stands(self, cruise_velocity: float) -> bool:
+        """Whether the axis stands, beside how fast (axis unit/s) it is to be: what moves already shows another plant."""
+        return abs(self._estimate.velocity) <= max(self._rest_velocity, _STANDING_SHARE * cruise_velocity)
 
     def stop(self, deceleration: float, friction: float = 0.0, *, gradual: bool = False) -> None:
         """Come to rest in the brake stage, then hold; see :meth:`~twostage_servo.control.laws.law.Law.stop`."""

@@ -230,10 +230,7 @@ class Learning:
         """End without keeping anything; return whether the model of this move is known well enough to go on with."""
         self.active, self._surprises = False, 0
         fit = self._fits[self.is_late]
-        if self._ticks >= self._rules.early_ticks and fit.gain_share < self._rules.early_share:
-            self.is_known = True
-            return True
-        return False
+        return self._ticks >= self._rules.early_ticks and fit.gain_share < self._rules.early_share
 
     def finish(self) -> bool:
         """End, and keep what has been found; return whether it is believed."""
