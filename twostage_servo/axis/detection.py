@@ -188,8 +188,8 @@ def _detect(design: AxisDesign, change: str, phase: str, velocity: float) -> Det
             unit = design.settings.unit
             raise DesignError(
                 ("axis", "law", "type"),
-                f"with this law an undisturbed cruise at {velocity:g} {unit}/s looks like one with a faulty encoder, and "
-                "the axis would trip: choose another law, or other keys of it",
+                f"with this law an undisturbed cruise at {velocity:g} {unit}/s looks like one with a faulty encoder, "
+                "and the axis would trip: choose another law, or other keys of it",
             )
     if phase == "stopping":
         run.stop()

@@ -115,7 +115,7 @@ class AdaptiveLaw:
             estimate.begin_move(direction)
 
     def _stands(self, cruise_velocity: float) -> bool:
-        """Whether the axis stands, beside how fast (axis unit/s) it is to be: what moves already shows another plant."""
+        """Whether the axis stands, beside how fast (axis unit/s) it is to be: one that moves shows another plant."""
         return abs(self._estimate.velocity) <= max(self._rest_velocity, _STANDING_SHARE * cruise_velocity)
 
     def stop(self, deceleration: float, friction: float = 0.0, *, gradual: bool = False) -> None:
