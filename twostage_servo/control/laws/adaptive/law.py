@@ -32,8 +32,9 @@ from twostage_servo.control.observer import DisturbanceObserver
 
 _SPEED, _POSITION, _BRAKE = Stage.SPEED, Stage.POSITION, Stage.BRAKE
 
-_STANDING_SHARE = 0.1
-"""Share of the speed of a move up to which an axis counts as standing: what the noise of an estimate may show."""
+_STANDING_SHARE = 0.5
+"""Share of the speed of a move up to which an axis counts as standing. The estimate of an axis at rest shows that much
+where a slow move takes hundreds of ticks for each step of its encoder."""
 """Looked up once, since a look-up of a member costs a measurable part of a step."""
 
 
