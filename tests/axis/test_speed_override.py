@@ -57,8 +57,8 @@ def same(*rigs: AxisRig) -> bool:
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("percent", [10.0, 60.0, 130.0, 200.0])
-@pytest.mark.parametrize("at_s", [0.0, 0.03, 0.1, 1.0])
+@pytest.mark.parametrize("percent", [25.0, 60.0, 200.0])
+@pytest.mark.parametrize("at_s", [0.0, 0.03, 1.0])
 def test_it_is_to_the_effort_what_a_move_at_that_speed_is(law: str, percent: float, at_s: float) -> None:
     overridden, moved = rig_of(law), rig_of(law)
     for rig in (overridden, moved):
@@ -110,7 +110,7 @@ def tick_within_limits(rig: AxisRig) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("jogs", [False, True])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(5))
 def test_whatever_it_is_changed_to_and_when_a_healthy_axis_goes_on(law: str, jogs: bool, seed: int) -> None:
     """Plants up to 20 % off, a load and noise: limits are kept, nothing trips, and the set-point is reached."""
     rng = random.Random(seed)  # noqa: S311 - a test
@@ -182,7 +182,7 @@ def test_0_holds_the_axis_and_then_it_arrives_at_the_same_set_point(law: str, at
     stopping = rig.axis.design.stopping_distance(velocity, 2000.0)
     assert -0.1 <= rig.position - at <= stopping + 0.5
     place = rig.position
-    rig.seconds(20.0)
+    rig.seconds(5.0)
     assert (outcome(rig), rig.axis.set_point, rig.axis.override_percent) == ("moving", 300.0, 0.0)
     assert rig.position == pytest.approx(place, abs=0.05)
     assert rig.axis.distance_to_go == pytest.approx(300.0 - place, abs=0.05)
@@ -212,7 +212,7 @@ def test_a_hold_may_be_ended_while_the_axis_still_brakes(law: str, ticks: int) -
 def test_a_set_point_that_is_nearer_than_a_stop_takes_is_reached_and_not_passed(law: str) -> None:
     """At each tick of the approach a stop ends before the set-point, or the axis comes to rest there."""
     stopped = reached = 0
-    for ticks in range(60, 140):
+    for ticks in range(60, 140, 3):
         rig = rig_of(law)
         rig.axis.move_to(100.0, 100.0)
         rig.seconds(ticks * PERIOD_S)
