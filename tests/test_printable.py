@@ -14,6 +14,7 @@ import structlog
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from twostage_servo.api.law_status import IdentifiedStatus, LawStatus, LoadStatus
 from twostage_servo.api.status import (
     AuthorityStatus,
     AxisReport,
@@ -21,10 +22,7 @@ from twostage_servo.api.status import (
     BusStatus,
     DriveStatus,
     FrameStatus,
-    IdentifiedStatus,
     InputStatus,
-    LawStatus,
-    LoadStatus,
     ServiceStatus,
     Status,
     TickStatus,

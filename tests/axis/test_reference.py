@@ -264,13 +264,26 @@ def test_the_place_of_an_axis_that_is_not_seen_now_cannot_be_told(*, armed: bool
     rig.tick()
     rig.axis.set_position(0.0)
     rig.tick()
-    with pytest.raises(Refused, match="not been seen in the last ticks: try again") as refused:
+    with pytest.raises(Refused, match="a sample of the axis is missing just now: try again") as refused:
         rig.axis.set_position(1.0)
     assert refused.value.code == "busy"
     rig.silent = False
     rig.tick()
     rig.axis.set_position(1.0)
     assert rig.axis.drive.position == 1.0
+
+
+def test_the_place_can_be_told_in_any_tick_of_a_drive_that_sends_in_every_third() -> None:
+    rig = AxisRig(Axis(design_axis(axis_settings(stale_feedback_ms=100.0), PERIOD_S), TRAITS))
+    rig.seconds(0.1)
+    for tick in range(12):
+        rig.silent = tick % 3 != 0
+        rig.tick()
+        if tick > 3:
+            rig.axis.set_position(float(tick))
+    rig.tick()
+    with pytest.raises(Refused, match="a sample of the axis is missing just now"):
+        rig.axis.set_position(0.0)
 
 
 def test_after_a_jump_the_place_can_be_told() -> None:

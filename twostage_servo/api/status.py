@@ -6,6 +6,7 @@ Positions are in the axis' unit, velocities in that unit per second, efforts in 
 from typing import Self
 
 from twostage_servo.api.fields import JsonObject
+from twostage_servo.api.law_status import LawStatus
 from twostage_servo.api.plain import Plain
 from twostage_servo.api.records import JsonRecord
 from twostage_servo.axis.moves import MoveKind, MoveOutcome
@@ -169,53 +170,6 @@ class BusStatus(JsonRecord):
     drive_state: int | None
     controller: str
     error_counters: tuple[int, ...] | None
-
-
-class LoadStatus(JsonRecord):
-    """What acts against each direction, friction included, in effort unit; None where it is not known."""
-
-    forward: float | None
-    backward: float | None
-
-
-class IdentifiedStatus(JsonRecord):
-    """What a law has learned of its plant.
-
-    Attributes
-    ----------
-    gain, pole
-        In axis unit/s² per effort unit, and 1/s.
-    delay_ticks
-        How many ticks later than designed an effort acts.
-    load
-        What acted against the last move in each direction.
-    moves
-        How many moves it has learned from.
-    """
-
-    gain: float
-    pole: float
-    delay_ticks: int
-    load: LoadStatus
-    moves: int
-
-
-class LawStatus(JsonRecord):
-    """The law that drives an axis.
-
-    Attributes
-    ----------
-    type
-        Its name.
-    identified
-        What it has learned of its plant; None before it has, and of a law that learns nothing.
-    accepted
-        Whether it controls by that plant as by one that is known; None likewise.
-    """
-
-    type: str
-    identified: IdentifiedStatus | None
-    accepted: bool | None
 
 
 class AxisReport(JsonRecord):

@@ -154,8 +154,8 @@ class Admission:
             )
         if self._drive.position is None or self._drive.is_stale:
             raise Refused(RefusalCode.NO_FEEDBACK, "there is no fresh feedback from the drive.")
-        if not self._drive.is_recent:  # pushed unseen, it may be elsewhere by now
-            raise Refused(RefusalCode.BUSY, "the axis has not been seen in the last ticks: try again.")
+        if not self._drive.is_recent:  # it may be elsewhere by now
+            raise Refused(RefusalCode.BUSY, "a sample of the axis is missing just now: try again.")
         if velocity is None:
             raise Refused(RefusalCode.BUSY, "it is not known yet whether the axis is at rest: try again.")
         if abs(velocity) > rest_velocity:

@@ -13,9 +13,6 @@ from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.axis.unwrapping import Unwrapping
 
-_RECENT_TICKS = 1
-"""Age of a sample that still says where the axis is. One that is sent at half the tick's rate is never older."""
-
 
 class DriveReport:
     """Keeps the newest fresh feedback of the drive, in positions that count from the axis' own origin.
@@ -241,9 +238,13 @@ class DriveReport:
 
     @property
     def is_recent(self) -> bool:
-        """Whether the axis was seen in this tick or the one before: what it has done since cannot be much."""
+        """Whether no sample is missing: the next one is not due yet, by the time between the last two, or only just.
+
+        So it holds for a drive that sends less often than the axis ticks. Where a sample is missing, the axis may have
+        been pushed elsewhere, unseen.
+        """
         age = self.monitor.ticks_since_fresh
-        return age is not None and age <= _RECENT_TICKS
+        return age is not None and age < max(2, self.monitor.ticks_between_fresh)
 
     def blocks(self, direction: float) -> str | None:
         """Return the name of the limit switch that forbids motion in a direction (its sign counts), or None."""

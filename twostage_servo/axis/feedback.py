@@ -31,11 +31,14 @@ class FeedbackMonitor:
         Samples that were new and whole, but not believed.
     ticks_since_fresh
         Ticks since the last fresh feedback, 0 in a tick that had one; None before the first.
+    ticks_between_fresh
+        How many ticks it came after the one before it.
     """
 
     __slots__ = (
         "_counter", "_errors", "_errors_now", "_modulus", "_rejected_since", "_window", "doubled",
-        "implausible", "late", "late_since_fresh", "lost", "rejected", "reordered", "ticks_since_fresh",
+        "implausible", "late", "late_since_fresh", "lost", "rejected", "reordered", "ticks_between_fresh",
+        "ticks_since_fresh",
     )  # fmt: skip
 
     def __init__(self, counter_modulus: int) -> None:
@@ -44,6 +47,7 @@ class FeedbackMonitor:
         self.lost = self.doubled = self.reordered = self.rejected = self.implausible = 0
         self.late = self.late_since_fresh = 0
         self.ticks_since_fresh: int | None = None
+        self.ticks_between_fresh = 0
         self._window: deque[int] = deque([0] * _PAST_TICKS, _PAST_TICKS)
         self._errors = 0
         self._errors_now = 0
@@ -90,6 +94,7 @@ class FeedbackMonitor:
             self.late += 1
             self.late_since_fresh += 1
         else:
+            self.ticks_between_fresh = self.ticks_since_fresh or 0
             self.ticks_since_fresh = self.late_since_fresh = 0
         return True
 
@@ -108,6 +113,7 @@ class FeedbackMonitor:
         """Start afresh, as after the bus was reopened."""
         self._counter = None
         self.ticks_since_fresh = None
+        self.ticks_between_fresh = 0
         self.late_since_fresh = 0
         self._window.extend([0] * _PAST_TICKS)
         self._errors = self._errors_now = 0

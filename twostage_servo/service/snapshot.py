@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from twostage_servo.api.fields import JsonObject
+from twostage_servo.api.law_status import IdentifiedStatus, LawStatus, LoadStatus
 from twostage_servo.api.status import (
     AuthorityStatus,
     AxisReport,
@@ -12,10 +13,7 @@ from twostage_servo.api.status import (
     BusStatus,
     DriveStatus,
     FrameStatus,
-    IdentifiedStatus,
     InputStatus,
-    LawStatus,
-    LoadStatus,
     MoveStatus,
     RealtimeStatus,
     ServiceStatus,

@@ -1,0 +1,50 @@
+"""The law that drives an axis, and what it has learned of its plant, as ``status`` and ``demo --json`` tell it."""
+
+from twostage_servo.api.records import JsonRecord
+
+
+class LoadStatus(JsonRecord):
+    """What acts against each direction, friction included, in effort unit; None where it is not known."""
+
+    forward: float | None
+    backward: float | None
+
+
+class IdentifiedStatus(JsonRecord):
+    """What a law has learned of its plant.
+
+    Attributes
+    ----------
+    gain, pole
+        In axis unit/s² per effort unit, and 1/s.
+    delay_ticks
+        How many ticks later than designed an effort acts.
+    load
+        What acted against the last move in each direction.
+    moves
+        How many moves it has learned from.
+    """
+
+    gain: float
+    pole: float
+    delay_ticks: int
+    load: LoadStatus
+    moves: int
+
+
+class LawStatus(JsonRecord):
+    """The law that drives an axis.
+
+    Attributes
+    ----------
+    type
+        Its name.
+    identified
+        What it has learned of its plant; None before it has, and of a law that learns nothing.
+    accepted
+        Whether it controls by that plant as by one that is known; None likewise.
+    """
+
+    type: str
+    identified: IdentifiedStatus | None
+    accepted: bool | None
