@@ -5,7 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
-from tools.bench.control_quality.suite import LOADS, Case, LoadStep, QuickestMove, cases, quickest_move
+from tools.bench.control_quality.suite import LOADS, Case, LoadStep, cases, quickest_move
+from twostage_servo.control.time_optimal import QuickestMove
 
 SUITE: Final = "suite"
 TWICE_THE_SPREAD: Final = 0.5

@@ -2,10 +2,11 @@
 
 import random
 from dataclasses import dataclass
-from math import copysign, exp, inf, log, sqrt
+from math import copysign, exp, inf, log
 from typing import Final, Protocol
 
 from tools.bench.control_quality.true_plant import TrueAxis, TruePlant
+from twostage_servo.control.time_optimal import Capability, QuickestMove
 
 PERIOD_S: Final = 0.01
 GAIN: Final = 180.0
@@ -119,64 +120,12 @@ def _between(rng: random.Random, ends: tuple[float, float]) -> float:
     return exp(rng.uniform(log(ends[0]), log(ends[1])))
 
 
-@dataclass(frozen=True, slots=True)
-class QuickestMove:
-    """The quickest move that reaches the band and stays in it.
-
-    It accelerates with the whole effort, keeps to the velocity, and brakes with the whole effort to rest at the far end
-    of the band; effort rate and ticks are left out. With friction and load the effort that is left differs in the two.
-
-    Attributes
-    ----------
-    accelerating_s, cruising_s, braking_s
-        Its parts, until it is at rest.
-    in_band_s
-        Of the last of these, what it spends in the band.
-    """
-
-    accelerating_s: float
-    cruising_s: float
-    braking_s: float
-    in_band_s: float
-
-    @property
-    def bound_s(self) -> float:
-        """When it reaches the band."""
-        return self.accelerating_s + self.cruising_s + self.braking_s - self.in_band_s
-
-
 def quickest_move(axis: TrueAxis, load: float, distance: float, velocity: float, band: float = BAND) -> QuickestMove:
     """Return the quickest move of a distance in mm with a load in V, a velocity in mm/s and a band in mm."""
-    way, sign = abs(distance) + band, 1.0 if distance > 0 else -1.0
+    sign = 1.0 if distance > 0 else -1.0
     up = axis.gain * (axis.effort_limit - sign * load - axis.friction)
     down = axis.gain * (axis.effort_limit + sign * load + axis.friction)
-    a = axis.pole
-    low, high = 0.0, min(velocity, up / a * (1.0 - 1e-9))
-    if _way(up, down, a, high) > way:
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            low, high = (middle, high) if _way(up, down, a, middle) < way else (low, middle)
-        cruise = 0.0
-    else:
-        cruise = (way - _way(up, down, a, high)) / high
-    return QuickestMove(
-        -log(1.0 - a * high / up) / a, cruise, log(1.0 + a * high / down) / a, _last_s(down, a, 2.0 * band)
-    )
-
-
-def _way(up: float, down: float, a: float, v: float) -> float:
-    """Return the way of an acceleration to a speed and the braking from it."""
-    return (-up / a * log(1.0 - a * v / up) - v) / a + (v - down / a * log(1.0 + a * v / down)) / a
-
-
-def _last_s(down: float, a: float, way: float) -> float:
-    """Return how long the last part of a braking takes."""
-    low, high = 0.0, 10.0 * sqrt(2.0 * way / down)
-    for _ in range(60):
-        t = 0.5 * (low + high)
-        gone = (down / a) * ((exp(a * t) - 1.0) / a - t)
-        low, high = (t, high) if gone < way else (low, t)
-    return 0.5 * (low + high)
+    return Capability(up, down, axis.pole).quickest_move(abs(distance), velocity, band)
 
 
 @dataclass(frozen=True, slots=True)

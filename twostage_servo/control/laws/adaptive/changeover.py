@@ -10,7 +10,7 @@ from typing import Final
 from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
 from twostage_servo.control.laws.adaptive.reference import Braking, Shape, next_speed
-from twostage_servo.control.laws.adaptive.rules import Rules
+from twostage_servo.control.laws.adaptive.rules import Rules, loop_period_s
 from twostage_servo.control.laws.law import ControlTask
 
 _HALVINGS: Final = 24
@@ -39,12 +39,13 @@ class Changeover:
         How the law shapes a move.
     """
 
-    __slots__ = ("_acceleration_limit", "_estimate", "_largest_step", "_period_s", "_rules")
+    __slots__ = ("_acceleration_limit", "_estimate", "_largest_step", "_loop_period_s", "_period_s", "_rules")
 
     def __init__(self, estimate: ControlEstimate, task: ControlTask, rules: Rules) -> None:
         self._estimate = estimate
         self._rules = rules
         self._period_s = task.period_s
+        self._loop_period_s = loop_period_s(task)
         self._acceleration_limit = task.acceleration_limit
         self._largest_step = task.effort_rate_limit * task.period_s
 
@@ -90,7 +91,7 @@ class Changeover:
         deceleration = min(rules.braking_share * abs(gain) * left, self._acceleration_limit)
         if estimate.learning.is_new:
             least = max(ahead, _LEAST_SHARE * course.cruise_velocity)
-            deceleration = min(deceleration, least / (rules.first_braking * self._period_s))
+            deceleration = min(deceleration, least / (rules.first_braking * self._loop_period_s))
         return deceleration
 
     def _shape(self, course: Course, ahead: float, deceleration: float) -> Shape:

@@ -11,10 +11,11 @@ from twostage_servo.control.laws.adaptive.placement import Poles
 from twostage_servo.control.laws.adaptive.reference import Shape
 from twostage_servo.control.laws.adaptive.rules import (
     NOISY_FROM,
-    NOISY_POLES,
     LearningRules,
     Rules,
     encoder_poles,
+    is_noisy,
+    loop_period_s,
     noise_unit,
 )
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
@@ -95,7 +96,7 @@ class AdaptiveDesign(StopsByRamp):
         cruise = 0.0 if top <= 0.0 else least / top - 0.5 * top / rising - 0.5 * top / braking
         averaged = self._braking_way(top) - top * top / (2.0 * braking)
         rest_s = 0.0 if top <= 0.0 else averaged / top
-        return top / rising + cruise + top / braking + rest_s + _SETTLING_TICKS * task.period_s
+        return top / rising + cruise + top / braking + rest_s + _SETTLING_TICKS * loop_period_s(task)
 
     def gains(self) -> Mapping[str, float]:
         """Return those of the position stage on a plant that is known, and of its observer."""
@@ -106,7 +107,7 @@ class AdaptiveDesign(StopsByRamp):
 
     def origin(self) -> str:
         """Return which poles the gains follow from."""
-        return "poles for a noisy encoder" if self._poles is NOISY_POLES else "poles for a quiet encoder"
+        return "poles for a noisy encoder" if is_noisy(self.task, self.noise) else "poles for a quiet encoder"
 
     def loops(self) -> Mapping[str, Loop]:
         """Return how stable the stages are: on a known plant, before one is known, and in a stop."""
@@ -124,7 +125,7 @@ class AdaptiveDesign(StopsByRamp):
 
     @property
     def _poles(self) -> Poles:
-        return encoder_poles(self.noise, noise_unit(self.task))
+        return encoder_poles(self.task, self.noise)
 
     def _model(self, poles: Poles) -> Model:
         return configured_model(self.task, poles)
@@ -173,25 +174,24 @@ def design_adaptive(task: ControlTask, noise: float, *, learns: bool) -> Adaptiv
     DesignError
         If a loop would be unstable or fragile.
     """
-    poles = encoder_poles(noise, noise_unit(task))
-    radii = {stage: _check_stage(task, poles, stage) for stage in Stage}
+    radii = {stage: _check_stage(task, noise, stage) for stage in Stage}
     return AdaptiveDesign(task, noise, learns, settling_time_s(radii[Stage.BRAKE], task.period_s))
 
 
-def _check_stage(task: ControlTask, poles: Poles, stage: Stage) -> float:
+def _check_stage(task: ControlTask, noise: float, stage: Stage) -> float:
     """Return the magnitude of a stage's slowest pole."""
-    control = stage_control(task, configured_model(task, poles), stage)
+    control = stage_control(task, configured_model(task, encoder_poles(task, noise)), stage)
     radius = max(abs(pole) for pole in poles_of(control, task.sampled))
     if not radius < 1.0:
-        raise _design_error(task, poles, stage, f"unstable: its closed loop has a pole of magnitude {radius:.4f}")
+        raise _design_error(task, noise, stage, f"unstable: its closed loop has a pole of magnitude {radius:.4f}")
     margin = margins_of(control, task.sampled, 2_000).modulus_margin
     if margin < LEAST_MODULUS_MARGIN:
         fragile = f"fragile: its modulus margin is {margin:.3f}, and at least {LEAST_MODULUS_MARGIN:g} is needed"
-        raise _design_error(task, poles, stage, fragile)
+        raise _design_error(task, noise, stage, fragile)
     return radius
 
 
-def _design_error(task: ControlTask, poles: Poles, stage: Stage, finding: str) -> DesignError:
+def _design_error(task: ControlTask, noise: float, stage: Stage, finding: str) -> DesignError:
     """Return the error that says what is wrong with a stage, and what to change."""
     key: tuple[str, ...] = ()
     change = "choose a shorter tick"
@@ -199,7 +199,7 @@ def _design_error(task: ControlTask, poles: Poles, stage: Stage, finding: str) -
         change += ", or other observer variances (axis.observer)"
     else:  # these poles are fixed in z, so only the plant and the tick make a difference
         change += ", or correct axis.plant.pole if the plant is slower"
-        if poles is NOISY_POLES:
+        if is_noisy(task, noise):
             key = ("encoder_noise",)
             quiet = NOISY_FROM * noise_unit(task)
             change += f"; up to {quiet:.3g}, if the encoder is that quiet, encoder_noise selects other poles"

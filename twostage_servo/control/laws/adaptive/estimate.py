@@ -278,7 +278,7 @@ class ControlEstimate:
     def _adopt(self, plant: Plant, *, is_known: bool = False) -> None:
         """Go on with a plant, by poles that go with what is known of it, or with `is_known` of this one."""
         learning, rules = self.learning, self._rules
-        poles = encoder_poles(self.noise, self._unit)
+        poles = encoder_poles(self._task, self.noise)
         if not (is_known or learning.is_known):
             poles = poles.slower(rules.unknown)
         elif learning.is_late:

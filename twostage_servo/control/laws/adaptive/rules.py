@@ -26,26 +26,39 @@ SPREAD_SHARE: Final = 1.874
 """Spread of a sample for identification, as a multiple of the noise: a plant differs from its equation as well."""
 
 
+SWING_TICKS: Final = 2.4
+"""Ticks in which the effort has to be able to go from none to its limit for loops as quick as the tick allows."""
+
+
+def loop_period_s(task: ControlTask) -> float:
+    """Return the tick that the loops are made for, in s: the task's, or a longer one where the effort's rate asks for it.
+
+    A loop that asks for more than the effort's rate gives oscillates with it. By how much it asks for more goes with
+    the ratio of that swing to its own time, so both have to keep in step.
+    """
+    return max(task.period_s, task.effort_limit / (SWING_TICKS * task.effort_rate_limit))
+
+
 def noise_unit(task: ControlTask) -> float:
     """Return by what noise is measured, in axis unit: how far the effort's largest change moves the axis in a tick.
 
-    So a threshold of the noise means the same whatever unit the axis has.
+    So a threshold of the noise means the same whatever unit the axis has. The tick is that of the loops.
     """
-    step = min(task.effort_rate_limit * task.period_s, task.effort_limit)
-    return abs(task.plant.gain) * step * task.period_s * task.period_s
+    period_s = loop_period_s(task)
+    step = min(task.effort_rate_limit * period_s, task.effort_limit)
+    return abs(task.plant.gain) * step * period_s * period_s
 
 
-def encoder_poles(noise: float, unit: float) -> Poles:
-    """Return the poles for an encoder.
+def is_noisy(task: ControlTask, noise: float) -> bool:
+    """Whether the noise of an encoder, a standard deviation in axis unit, matters to the loops."""
+    return noise > NOISY_FROM * noise_unit(task)
 
-    Parameters
-    ----------
-    noise
-        Standard deviation of a measured position, in axis unit.
-    unit
-        As :func:`noise_unit` returns it, in axis unit.
-    """
-    return NOISY_POLES if noise > NOISY_FROM * unit else QUIET_POLES
+
+def encoder_poles(task: ControlTask, noise: float) -> Poles:
+    """Return the poles for an encoder whose noise is a standard deviation in axis unit."""
+    poles = NOISY_POLES if is_noisy(task, noise) else QUIET_POLES
+    ticks = loop_period_s(task) / task.period_s
+    return poles.slower(1.0 / ticks) if ticks > 1.0 else poles
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +70,8 @@ class Rules:
     braking_share
         Share of what the effort limit could brake with that the reference asks for; the rest is the feedback's.
     first_acceleration, first_braking
-        Ticks that a first move on an unknown plant takes at least for each: time to identify, and to correct.
+        Ticks of the loops (:func:`loop_period_s`) that a first move on an unknown plant takes at least for each: time
+        to identify, and to correct.
     unknown, late
         Exponents of the poles while the plant is not known, and where an effort acts a tick later.
     pull_share

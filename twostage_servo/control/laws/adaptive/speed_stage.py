@@ -10,7 +10,7 @@ from twostage_servo.control.laws.adaptive.changeover import Changeover
 from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.departure import Departure
 from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
-from twostage_servo.control.laws.adaptive.rules import Rules
+from twostage_servo.control.laws.adaptive.rules import Rules, loop_period_s
 from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask
 
@@ -35,7 +35,7 @@ class SpeedStage:
         By how much the speed reference has risen over coasting in the last tick, ``v+ - a22 v``, in axis unit/s.
     """
 
-    __slots__ = ("_changeover", "_departure", "_estimate", "_largest_step", "_period_s", "_ramp", "_rules", "rise")
+    __slots__ = ("_changeover", "_departure", "_estimate", "_largest_step", "_loop_period_s", "_period_s", "_ramp", "_rules", "rise")
 
     def __init__(self, estimate: ControlEstimate, departure: Departure, task: ControlTask, rules: Rules) -> None:
         self._estimate = estimate
@@ -43,6 +43,7 @@ class SpeedStage:
         self._rules = rules
         self._changeover = Changeover(estimate, task, rules)
         self._period_s = task.period_s
+        self._loop_period_s = loop_period_s(task)
         self._ramp = task.acceleration_limit * task.period_s
         self._largest_step = task.effort_rate_limit * task.period_s
         self.clear()
@@ -90,10 +91,9 @@ class SpeedStage:
         """Return by how much the speed reference may rise in a tick, in axis unit/s."""
         if not self._estimate.learning.is_new:
             return self._ramp
-        ticks = self._rules.first_acceleration
-        quickest = course.cruise_velocity / ticks
-        way = abs(course.target - self._departure.position)
-        return min(self._ramp, quickest, way / (ticks * ticks * self._period_s))
+        rising_s = self._rules.first_acceleration * self._loop_period_s
+        quickest = min(course.cruise_velocity / rising_s, abs(course.target - self._departure.position) / rising_s**2)
+        return min(self._ramp, quickest * self._period_s)
 
     def _turn_round(self, course: Course, ahead: float) -> None:
         """Set out for the set-point from rest, or nearly so."""
