@@ -119,3 +119,24 @@ def test_an_encoder_that_freezes_in_a_stop_does_not_drive_the_axis_on(ticks: int
         rig.tick()
         farthest = max(farthest, abs(rig.position - start))
     assert farthest < 7.0
+
+
+@pytest.mark.parametrize(("load", "stops"), [(-4.0, False), (4.0, True), (-1.0, True)])
+def test_a_stop_by_the_model_alone_ends_where_a_load_that_it_supposes_would_push_the_axis_on(
+    load: float, *, stops: bool
+) -> None:
+    """There is no such load: at the 2.5 V that a stop behind a still encoder may give, the axis went on for 27 mm the other way."""
+    rig = AxisRig().cruising(2000.0, 20.0)
+    frozen = rig.sample
+    rig.sees = lambda _: frozen
+    rig.seconds(3 * PERIOD_S)
+    rig.axis.raise_trip(TripCode.STALL, "for the test")
+    observer = rig.axis.motion.law.observer
+    observer.correct(20.0, -load)
+    start, braked = rig.position, 0
+    for _ in range(300):
+        rig.tick()
+        braked += rig.state() is State.TRIPPED_QUICK_STOP
+    assert rig.state() is State.TRIPPED
+    assert abs(rig.position - start) < 2.0
+    assert (braked > 0) == stops

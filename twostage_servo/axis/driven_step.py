@@ -80,7 +80,7 @@ class DrivenStep:
             return NO_EFFORT
         if law.changeovers != changeovers:
             self._after_changeover()
-        if motion.moves_after_all:
+        if motion.moves_after_all or motion.cannot_stop:
             self.end_braking()
         for code, cause in self._supervision.violations(machine.state, referenced=self._reference.source is not None):
             self._latch.raise_trip(code, cause, keeps_reference=self._lacks_commands(code))

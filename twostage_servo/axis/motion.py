@@ -80,6 +80,8 @@ class Motion:
         self._gap = SampleGap(design)
         self._braking = BrakingEstimate(design)
         self._load = StandingLoad(design)
+        self._gain = design.settings.plant.gain
+        self._friction = 0.0  # of the stop, in effort unit s/axis unit
         limits = design.settings.limits
         self._longest_prediction = max(limits.missed_ticks, design.ticks(_LONGEST_PREDICTION_MS))
         self._long_gap_ticks = design.ticks(_LONG_GAP_MS)
@@ -134,7 +136,7 @@ class Motion:
         if not self.blind:
             self._braking.apply(self.law.observer, in_doubt=False)
         observer = self.law.observer
-        friction = self._load.friction(observer.velocity, observer.disturbance)
+        friction = self._friction = self._load.friction(observer.velocity, observer.disturbance)
         self.law.stop(deceleration, friction, gradual=not self.blind)
         if self._stands_at is not None:  # what holds the axis, if it is not the encoder, must bear no more than it does
             self.law.limit_effort(max(abs(self.law.effort), self._limits.stall_effort))
@@ -257,6 +259,19 @@ class Motion:
         if self._stands_at is None or position is None:
             return False
         return abs(position - self._stands_at) > self._least_motion
+
+    @property
+    def cannot_stop(self) -> bool:
+        """Whether, by the model alone, what a stop may give does not bring the axis to rest: a load pushes it on.
+
+        That load has been estimated by an encoder that lied. Where there is none, the effort would drive the axis the
+        other way for as long as a stop may take.
+        """
+        law, observer = self.law, self.law.observer
+        if not self.blind or law.stage is not Stage.BRAKE:
+            return False
+        load = observer.disturbance - self._friction * observer.velocity  # what is left of it at rest
+        return load * self._gain * observer.velocity > 0.0 and abs(load) >= law.effort_limit
 
     @property
     def recent_way(self) -> float:
