@@ -26,6 +26,7 @@ from tools.bench.control_quality import (
 )
 from tools.bench.control_quality.suite import PERIOD_S, Case, LoadStep, Outcome, Rig, SuiteLaw, cases, quickest_move
 from tools.bench.control_quality.true_plant import TrueAxis, TruePlant
+from twostage_servo.control.loop_analysis import LoopAnalysis
 from twostage_servo.control.plant import Plant
 
 FRICTION = TrueAxis(180.0, 14.0, friction=0.4, load=0.3, quantum=0.0)
@@ -239,14 +240,14 @@ def test_the_load_peak_is_that_of_a_run(name: str) -> None:
     for _ in range(200):
         rig.tick()
         peak = max(peak, abs(rig.plant.position - before))
-    found = margins.load_step_peak(PLANT, contestants.controller_of(name, case))
+    found = LoopAnalysis(PLANT, contestants.controller_of(name, case)).load_step_peak()
     assert 10.0 * peak == pytest.approx(found, rel=0.02)
 
 
 def test_an_unstable_loop_has_no_margins() -> None:
     law = contestants.controller_of("ptos", suite.nominal())
     wild = replace(law, c=tuple(tuple(50.0 * value for value in row) for row in law.c))
-    assert margins.load_step_peak(PLANT, wild) == math.inf
+    assert LoopAnalysis(PLANT, wild).load_step_peak() == math.inf
     assert margins.quick_margins(PLANT, wild) == (math.inf, 0.0)
 
 

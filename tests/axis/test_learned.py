@@ -132,3 +132,32 @@ def test_settings_that_are_read_again_keep_it_if_the_plant_is_the_same(change: d
     fresh = axis_of(**change) if "law" not in change else axis_of(change["law"])
     fresh.continue_from(rig.axis)
     assert (fresh.learned is not None and fresh.learned == rig.axis.learned) is kept
+
+
+@pytest.mark.parametrize("load", [(-23.9, -23.9), (23.9, 23.9), (12.0, -12.0), (None, 9.1)])
+def test_a_learned_load_that_the_axis_does_not_show_at_rest_is_forgotten(load: tuple[float | None, float]) -> None:
+    """A file with 23.9 V made a move of 5 mm at 5 mm/s go 4.4 mm the wrong way, at up to 85 mm/s."""
+    known = Learned(180.0, 14.0, 0.01, 0.01, 0, 50.0, load, 3, is_sure=True)
+    rig = AxisRig(axis_of())
+    rig.axis.recall(known)
+    rig.armed()
+    rig.axis.move_to(-5.0, 5.0)
+    places, speeds = [], []
+    for _ in range(150):
+        rig.tick()
+        places.append(rig.position)
+        speeds.append(abs(rig.velocity))
+    assert max(places) < 0.02
+    assert max(speeds) < 5.5
+    assert rig.position == pytest.approx(-5.0, abs=0.05)
+    assert rig.axis.trip is None
+
+
+def test_a_learned_load_that_friction_explains_is_kept() -> None:
+    known = Learned(180.0, 14.0, 0.01, 0.01, 0, 50.0, (1.5, 1.5), 3, is_sure=True)
+    rig = AxisRig(axis_of())
+    rig.axis.recall(known)
+    rig.armed()
+    rig.axis.move_to(5.0, 50.0)
+    rig.tick()
+    assert learned(rig).load == (1.5, 1.5)

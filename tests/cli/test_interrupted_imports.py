@@ -37,7 +37,7 @@ def run(code: str) -> tuple[int, str, str]:
     [
         ("argparse", ["check"]),
         ("twostage_servo.cli.main", ["check"]),
-        ("twostage_servo.cli.engineer", ["--version"]),
+        ("twostage_servo.cli.check", ["--version"]),
         ("pydantic", ["check"]),
         ("numpy", ["design"]),
         ("twostage_servo.client.blocking", ["stop"]),

@@ -48,7 +48,6 @@ def test_shipped_files_are_warned_of_what_is_true_alone(capsys: pytest.CaptureFi
         ("axis.limits.following_error_minimum=2600", "the trip for following error"),
         ("axis.limits.following_error_time_s=11", "the trip for following error: 2750 mm are allowed"),
         ("axis.limits.innovation_gate=21", "the trip for an encoder that jumps"),
-        ("axis.limits.effort_rate=1e-3", "a stop: from 250 mm/s"),
         ("axis.window.position=60", "begins 54.53 mm before the set-point, so it counts as reached immediately"),
         ("axis.window.position=0.0004", "the encoder has steps of 0.001 mm"),
         ("axis.limits.stall_time_ms=30000", "the trip for a stall: at its largest velocity the axis crosses"),
@@ -139,3 +138,10 @@ def test_a_time_to_brake_in_which_the_axis_does_not_come_to_rest_is_warned_of(
         assert warning["do"] == "remove it, or set at least 5572"
     elif stated_ms is None:
         assert told["longest_end_s"] == pytest.approx(12.5 + 2.0 * 5.572, abs=0.01)
+
+
+def test_an_effort_rate_that_lets_no_move_end_is_a_problem(capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = check(capsys, "axis.limits.effort_rate=1e-3")
+    assert code == 2
+    (problem,) = told["error"]["problems"]
+    assert "trips (position_limit) even if the plant is as axis.plant says" in problem["message"]

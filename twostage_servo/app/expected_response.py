@@ -1,17 +1,16 @@
-"""What a move will be like, before anything moves: an axis with its limits, on a plant that is as its model or is not."""
+"""What a move will be like before anything moves: a whole axis, on a plant that is as its model or is not."""
 
 import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.messages import DriveTraits, Feedback
-from twostage_servo.axis.refusals import Refused
+from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.config.loader import Config
 from twostage_servo.control.time_optimal import Capability
 from twostage_servo.simulation.plant import TruePlant
 
@@ -91,27 +90,32 @@ class Expectation:
     worst: Response
 
 
-def configured_move(config: Config) -> PlannedMove:
-    """Return the move that `demo` makes: four seconds of cruise, as far as the position limits allow."""
-    axis = config.axis
-    return PlannedMove(_within_limits(config, CRUISE_S * axis.cruise_velocity), axis.cruise_velocity)
+def configured_move(axis: AxisSettings, velocity: float) -> PlannedMove:
+    """Return the move that `demo` makes from 0: four seconds of cruise, as far as the position limits allow.
+
+    Parameters
+    ----------
+    axis
+        Its settings.
+    velocity
+        Of the cruise, in axis unit/s.
+    """
+    return PlannedMove(_within_limits(axis, CRUISE_S * velocity), velocity)
 
 
-def corner_moves(config: Config) -> list[PlannedMove]:
+def corner_moves(axis: AxisSettings) -> list[PlannedMove]:
     """Return a short and a long move, with the cruise velocity and with the velocity limit."""
-    axis = config.axis
-    short = _within_limits(config, SHORT * axis.window.position)
+    short = _within_limits(axis, SHORT * axis.window.position)
     moves = [
         PlannedMove(distance, velocity)
         for velocity in (axis.cruise_velocity, axis.limits.velocity)
-        for distance in (short, _within_limits(config, CRUISE_S * velocity))
+        for distance in (short, _within_limits(axis, CRUISE_S * velocity))
     ]
     return [move for index, move in enumerate(moves) if move not in moves[:index]]
 
 
-def _within_limits(config: Config, distance: float) -> float:
-    limits = config.axis.limits
-    return min(distance, limits.position_maximum - limits.position_minimum)
+def _within_limits(axis: AxisSettings, distance: float) -> float:
+    return min(distance, axis.limits.position_maximum - axis.limits.position_minimum)
 
 
 def expect(design: AxisDesign, traits: DriveTraits, move: PlannedMove, uncertainty: float) -> Expectation:
@@ -168,11 +172,39 @@ def respond(
     Raises
     ------
     Refused
-        If the axis takes no such move.
+        If the axis takes no such move (:class:`twostage_servo.axis.refusals.Refused`).
     """
+    return trace(design, traits, move, gain_factor, pole_factor)[0]
+
+
+def trace(
+    design: AxisDesign, traits: DriveTraits, move: PlannedMove, gain_factor: float = 1.0, pole_factor: float = 1.0
+) -> "tuple[Response, list[TracePoint]]":
+    """Return the same as :func:`respond`, and each tick of the move."""
     bench = _Bench(design, traits, move, gain_factor, pole_factor)
     bench.arm()
-    return bench.run()
+    return bench.run(), bench.points
+
+
+def traces(
+    design: AxisDesign, traits: DriveTraits, move: PlannedMove, uncertainty: float
+) -> "dict[str, list[TracePoint]]":
+    """Return each tick of a move on the plant of the model and on those at the corners of an uncertainty, by name."""
+    found = {"as the model": trace(design, traits, move)[1]}
+    for gain, pole in _corners(uncertainty):
+        found[f"gain {100.0 * (gain - 1.0):+.0f} %, pole {100.0 * (pole - 1.0):+.0f} %"] = trace(
+            design, traits, move, gain, pole
+        )[1]
+    return found
+
+
+class TracePoint(NamedTuple):
+    """A tick of a move: time in s, error of the position in axis unit, velocity in axis unit/s, effort."""
+
+    time_s: float
+    error: float
+    velocity: float
+    effort: float
 
 
 class _Bench:
@@ -191,6 +223,7 @@ class _Bench:
         self._counter, self._modulus = 0, traits.counter_modulus
         self._tells_enabled = traits.tells_enabled
         self._ticks = 0
+        self.points: list[TracePoint] = []
         # Where the encoder wraps round does not matter to a move.
         self._axis = Axis(unhomed, replace(traits, position_period=0.0, has_heartbeat=False))
         limits, plant = settings.limits, settings.plant
@@ -198,8 +231,8 @@ class _Bench:
         self._plant = TruePlant(plant.gain * gain_factor, plant.pole * pole_factor, position=start)
         self._sample = start
         self._enabled = False
-        self._expected_ticks = 2.0 * design.law.move_duration_s(move.distance, move.velocity, self._window)
-        self._expected_ticks = min(_LONGEST_TICKS, 100.0 + self._expected_ticks / design.period_s)
+        watched_s = 2.0 * design.law.move_duration_s(move.distance, move.velocity, self._window)
+        self._watched_ticks = min(_LONGEST_TICKS, round(100.0 + watched_s / design.period_s))
 
     def arm(self) -> None:
         """Let the axis hold where it is."""
@@ -221,9 +254,10 @@ class _Bench:
         self._axis.move_to(target, move.velocity)
         outside = 0
         overshoot = peak_velocity = peak_effort = 0.0
-        ticks = round(self._expected_ticks)
+        ticks = self._watched_ticks
         for tick in range(1, ticks + 1):
             effort = self._tick()
+            self.points.append(TracePoint(tick * self._period_s, plant.position - target, plant.velocity, effort))
             peak_effort = max(peak_effort, abs(effort))
             peak_velocity = max(peak_velocity, abs(plant.velocity))
             overshoot = max(overshoot, plant.position - target)
@@ -250,7 +284,56 @@ class _Bench:
         return effort
 
 
-__all__ = [
-    "Expectation", "PlannedMove", "Refused", "Response", "bound_s", "configured_move", "corner_moves", "expect",
-    "respond", "worst_of",
-]  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class TightLimit:
+    """A limit that the response of the model's own plant breaks.
+
+    Attributes
+    ----------
+    key
+        Below ``axis.limits``.
+    value, enough
+        What it is, and what would do; None where no larger value of it does.
+    move, trip
+        The move, and the trip that ends it.
+    """
+
+    key: str
+    value: float
+    enough: float | None
+    move: PlannedMove
+    trip: TripCode
+
+
+_LIMITS: Final[dict[TripCode, str]] = {
+    TripCode.OVERSPEED: "overspeed",
+    TripCode.FOLLOWING_ERROR: "following_error_minimum",
+    TripCode.SPEED_UNREACHABLE: "effort_saturation_ms",
+    TripCode.STALL: "stall_effort",
+    TripCode.POSITION_LIMIT: "position_overrun",
+    TripCode.POSITION_JUMP: "innovation_gate",
+}
+"""The limit that each of these trips is about."""
+
+_WIDER: Final = (1.05, 1.1, 1.2, 1.5, 2.0, 3.0, 5.0, 10.0)
+"""Multiples of a limit that are tried."""
+
+
+def tight_limit(design: AxisDesign, traits: DriveTraits, expected: Expectation) -> TightLimit | None:
+    """Return the limit that a move breaks even on the plant of the model; None if there is none."""
+    trip, limits = expected.nominal.trip, design.settings.limits
+    if trip is None:
+        return None
+    key = _LIMITS.get(trip, "innovation_gate")
+    value = float(getattr(limits, key))
+    enough = None
+    for factor in _WIDER:
+        if respond(_with_limit(design, key, factor * value), traits, expected.move).trip is None:
+            enough = factor * value
+            break
+    return TightLimit(key, value, enough, expected.move, trip)
+
+
+def _with_limit(design: AxisDesign, key: str, value: float) -> AxisDesign:
+    limits = design.settings.limits.model_copy(update={key: value})
+    return replace(design, settings=design.settings.model_copy(update={"limits": limits}))

@@ -72,7 +72,7 @@ class AxisDesign:
 
     def changeover_distance(self, velocity: float) -> float:
         """Return how far before the set-point the position stage begins, in axis unit, at a velocity in axis unit/s."""
-        return abs(velocity) * self.law.changeover_time_s
+        return self.law.changeover_distance(abs(velocity))
 
     def ticks(self, duration_ms: float) -> int:
         """Return the ticks that a time in ms takes, rounded up."""

@@ -12,6 +12,7 @@ from twostage_servo.axis.standing_load import StandingLoad
 from twostage_servo.axis.tracking import Tracking
 from twostage_servo.control.laws.law import Learned, LearningLaw, Stage
 from twostage_servo.control.per_time import kept_in
+from twostage_servo.control.plant import Plant  # noqa: TC001 - the class of an attribute
 
 IMPLAUSIBLE_SAMPLES = 2
 """Samples in a row beyond the innovation gate that are a fault: one is a spike, two are not."""
@@ -72,6 +73,7 @@ class Motion:
         self.law = design.build_law()
         self.nominal = design.build_nominal_law()
         self._learner = self.law if isinstance(self.law, LearningLaw) and self.law.learns else None
+        self._identified: Plant | None = None  # as the model monitor has it
         self._keeps_learned = design.settings.law.memory != "none"
         self.times_forgotten = 0
         self.predicted = 0
@@ -210,6 +212,8 @@ class Motion:
             shown = self._drive.position
             assert shown is not None  # noqa: S101 - the sample is made from it
             self.model_monitor.update(shown, before, self.law.observer, self._speed_of_late, self._date.lag_s)
+        if self._learner is not None and self._learner.identified is not self._identified:
+            self._accept_identified(self._learner)
         if sample is not None:
             self._compare_with_the_last()
         self._record_load()
@@ -283,6 +287,18 @@ class Motion:
     def learned(self) -> Learned | None:
         """What the law has found out of the plant; None of a law that learns nothing."""
         return None if self._learner is None else self._learner.learned
+
+    def _accept_identified(self, learner: LearningLaw) -> None:
+        """Let the model monitor accept what the law has identified, from the estimate that goes with it.
+
+        The plant is bounded, and stays as it was found: what the encoder does from here on is compared with it.
+        """
+        self._identified = learner.identified
+        if self._identified is None:
+            self.model_monitor.forget_identified()
+        else:
+            is_late = learner.learned.delay_ticks > 0
+            self.model_monitor.accept(self._identified, learner.plant_estimate, is_late=is_late)
 
     def forget_plant(self) -> None:
         """Forget what the law has found out of the plant: a fault may have been taken for it."""

@@ -57,9 +57,9 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     if verb in LONG_RUNNING:
         serve.add_verbs(verbs)
         return parser
-    from twostage_servo.cli import demo, engineer, faults, host, install_service, paper
+    from twostage_servo.cli import check, demo, design, faults, host, install_service, paper
 
-    for group in (demo, serve, engineer, host, faults, paper, operate, install_service):
+    for group in (demo, serve, check, design, host, faults, paper, operate, install_service):
         group.add_verbs(verbs)
     return parser
 

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 _FREQUENCIES: Final = 2000
 """Points from 1e-5 rad a sample to the Nyquist frequency; the margins between them are interpolated."""
 
+_LOAD_ANSWER_S: Final = 2.0
+"""How long the answer to a load step is looked at."""
+
 
 @dataclass(frozen=True, slots=True)
 class StabilityMargins:
@@ -93,6 +96,20 @@ class LoopAnalysis:
             delay_margin_s=float(min(delays, default=np.inf)),
             modulus_margin=float(min(moduli)),
         )
+
+    def load_step_peak(self) -> float:
+        """Return the largest deviation at a sample after a load step of 1, in axis unit; infinity if unstable."""
+        a_p, b_p = self._plant
+        a_c, b_c, c_c = (np.array(matrix) for matrix in (self.law.a, self.law.b, self.law.c))
+        closed = np.block([[a_p, b_p @ c_c], [b_c @ self._output, a_c]])
+        if np.max(np.abs(np.linalg.eigvals(closed))) >= 1.0:
+            return float("inf")
+        enters = np.vstack([-b_p, np.zeros((len(a_c), 1))])
+        seen = np.zeros((1, len(closed)))
+        seen[0, 0] = 1.0
+        times = np.arange(round(_LOAD_ANSWER_S / self._period_s) + 1) * self._period_s
+        answer = control.step_response(control.ss(closed, enters, seen, 0.0, self._period_s), times)
+        return float(np.max(np.abs(answer.outputs)))
 
     def step_response(self, duration_s: float) -> "tuple[Matrix, Matrix]":
         """Return times in s, and how what follows the set-point answers a unit step of it, without any limit.

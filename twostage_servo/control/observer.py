@@ -127,6 +127,11 @@ class DisturbanceObserver:
         self._memory = disturbance_memory
         self.reset(0.0)
 
+    @property
+    def gain(self) -> Triple:
+        """The predictor gain."""
+        return self._gain1, self._gain2, self._gain3
+
     def reset(self, position: float) -> None:
         """Start afresh at a measured position (axis unit), at rest and undisturbed."""
         self.position = position

@@ -75,7 +75,7 @@ class Capability:
         else:
             cruise_s = (way - self._way(high)) / high
         (accelerating_s, _), (braking_s, _) = self._accelerate(high), self._brake(high)
-        return QuickestMove(accelerating_s, cruise_s, braking_s, self._last_s(min(2.0 * band, way)))
+        return QuickestMove(accelerating_s, cruise_s, braking_s, self._last_s(min(2.0 * band, way), high))
 
     def _way(self, velocity: float) -> float:
         """Return the way of an acceleration to a speed and the braking from it."""
@@ -97,8 +97,11 @@ class Capability:
         late_s = log(1.0 + self.pole * left / self.down) / self.pole
         return early_s + late_s, 0.5 * (velocity + left) * early_s + (left - self.down * late_s) / self.pole
 
-    def _last_s(self, way: float) -> float:
-        """Return how long the last part of a braking takes."""
+    def _last_s(self, way: float, velocity: float) -> float:
+        """Return how long the last part of a move takes, at whose end it brakes from a velocity."""
+        braking_s, braking_way = self._brake(velocity)
+        if braking_way <= way:
+            return braking_s + (way - braking_way) / velocity
         low, high = 0.0, sqrt(2.0 * way * min(self.acceleration, self.down))
         while self._brake(high)[1] < way:
             high *= 2.0

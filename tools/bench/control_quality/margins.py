@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 from typing import Final
 
-import control
 import numpy as np
 
 from twostage_servo.control.laws.law import Controller
 from twostage_servo.control.loop_analysis import LoopAnalysis
 from twostage_servo.control.plant import DiscretePlant
 
-_ANSWER_S: Final = 2.0
 _ANGLES: Final = np.geomspace(1e-3, np.pi, 600)
 
 
@@ -35,28 +33,13 @@ class LoopFigures:
 
 def loop_figures(plant: DiscretePlant, law: Controller) -> LoopFigures:
     """Return the figures of a loop of plant and law."""
-    margins = LoopAnalysis(plant, law).margins()
+    loop = LoopAnalysis(plant, law)
+    margins = loop.margins()
     return LoopFigures(
         peak_sensitivity=1.0 / margins.modulus_margin,
         delay_margin_ticks=margins.delay_margin_s / plant.period_s,
-        load_step_peak=load_step_peak(plant, law),
+        load_step_peak=loop.load_step_peak(),
     )
-
-
-def load_step_peak(plant: DiscretePlant, law: Controller) -> float:
-    """Return the largest deviation at a tick after a load step of 1, in axis unit; infinity for an unstable loop."""
-    a_p = np.array([[1.0, plant.a12], [0.0, plant.a22]])
-    b_p, c_p = np.array([[plant.b1], [plant.b2]]), np.array([[1.0, 0.0]])
-    a_c, b_c, c_c = (np.array(matrix) for matrix in (law.a, law.b, law.c))
-    closed = np.block([[a_p, b_p @ c_c], [b_c @ c_p, a_c]])
-    if np.max(np.abs(np.linalg.eigvals(closed))) >= 1.0:
-        return float("inf")
-    enters = np.vstack([-b_p, np.zeros((len(a_c), 1))])
-    seen = np.zeros((1, len(closed)))
-    seen[0, 0] = 1.0
-    times = np.arange(round(_ANSWER_S / plant.period_s) + 1) * plant.period_s
-    answer = control.step_response(control.ss(closed, enters, seen, 0.0, plant.period_s), times)
-    return float(np.max(np.abs(answer.outputs)))
 
 
 def quick_margins(plant: DiscretePlant, law: Controller) -> tuple[float, float]:

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
+from twostage_servo.control.estimate import Estimate
 from twostage_servo.control.observer import DisturbanceObserver, KalmanGain, NoiseModel
 from twostage_servo.control.plant import DiscretePlant, Plant
 
@@ -145,6 +146,14 @@ class LearningLaw(Law, Protocol):
     def learned(self) -> Learned:
         """What is known by now."""
 
+    @property
+    def identified(self) -> Plant | None:
+        """The plant that it controls by as by one that is known, the same object until it finds another; None: none."""
+
+    @property
+    def plant_estimate(self) -> Estimate:
+        """Where the axis is by that plant, a tick after the last sample."""
+
     def forget(self) -> None:
         """Forget all of it: something was wrong that may have been taken for the plant's own."""
 
@@ -274,6 +283,15 @@ class LawDesign(Protocol):
 
     @property
     def settling_time_s(self) -> float: ...  # noqa: D102 - see the class
+
+    def changeover_distance(self, velocity: float) -> float:
+        """Return how far before the set-point the position stage begins after a cruise, in axis unit.
+
+        Parameters
+        ----------
+        velocity
+            Of the cruise, in axis unit/s, not negative.
+        """
 
     def build(self, observer: DisturbanceObserver) -> Law:
         """Return a law within the task's limits, that holds where the observer says that the axis is."""

@@ -53,6 +53,10 @@ class PaperDesign(StopsByRamp):
         """The change-over distance of equation (19) for each axis unit/s, in s."""
         return self.servo_gains.changeover_time_s(self.task.period_s)
 
+    def changeover_distance(self, velocity: float) -> float:
+        """Return how far before the set-point the position stage begins, in axis unit; it goes with the velocity."""
+        return velocity * self.changeover_time_s
+
     def build(self, observer: DisturbanceObserver) -> TwoStageLaw:
         """Return a law within the task's limits."""
         task = self.task

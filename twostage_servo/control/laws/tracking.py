@@ -198,6 +198,10 @@ class TrackingDesign(StopsByRamp):
         """The time constant, in s: the reference ends so far ahead of the axis, for each axis unit/s."""
         return self.time_constant_s
 
+    def changeover_distance(self, velocity: float) -> float:
+        """Return how far the axis is from the set-point when the reference ends there, in axis unit."""
+        return velocity * self.changeover_time_s
+
     @property
     def settling_time_s(self) -> float:
         """How long the slowest pole of a stop takes to die down to a hundredth, in s."""

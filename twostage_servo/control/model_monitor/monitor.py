@@ -22,6 +22,7 @@ on; :meth:`ModelMonitor.reckon` gives its state.
 from math import inf
 from typing import Final
 
+from twostage_servo.control.estimate import Estimate
 from twostage_servo.control.model_monitor.encoder_change import EncoderChange, Reckoning
 from twostage_servo.control.model_monitor.hypotheses import (
     ACCEPTED,
@@ -32,6 +33,7 @@ from twostage_servo.control.model_monitor.hypotheses import (
     deviating,
     forgetting,
     slow_observer,
+    slow_observer_like,
 )
 from twostage_servo.control.model_monitor.reversal import ReversalWatch
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel
@@ -88,13 +90,41 @@ class ModelMonitor:
     """
 
     __slots__ = (
-        "_accepted", "_accepted_sums", "_changes", "_date_share_s", "_forgetting", "_gains", "_innovation",
-        "_is_lasting", "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins", "_reversal",
-        "_samples", "_still_sum", "_sum", "_sums", "is_sure", "surprise",
+        "_accepted",
+        "_accepted_sums",
+        "_changes",
+        "_date_share_s",
+        "_forgetting",
+        "_gains",
+        "_identified",
+        "_innovation",
+        "_is_identified_late",
+        "_is_lasting",
+        "_last_effort",
+        "_late_effort",
+        "_least",
+        "_least_at_rest",
+        "_memory",
+        "_next",
+        "_noise_square",
+        "_origins",
+        "_period_s",
+        "_reversal",
+        "_samples",
+        "_still_sum",
+        "_sum",
+        "_sums",
+        "is_sure",
+        "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
         self._forgetting = forgetting(period_s)
+        self._period_s = period_s
+        self._memory = noise.disturbance_memory
+        self._identified: DisturbanceObserver | None = None
+        self._is_identified_late = False
+        self._last_effort = 0.0
         self._late_effort = LateEffort(period_s)
         self._accepted = [
             (slow_observer(deviating(plant, deviation), period_s, noise), deviation.is_delayed)
@@ -132,6 +162,8 @@ class ModelMonitor:
         """
         for observer, _ in self._accepted:
             observer.continue_from(model)
+        if self._identified is not None:
+            self._identified.continue_from(model)
         for observer in self._gains:
             observer.continue_from(model)
         for change in self._changes:
@@ -144,6 +176,25 @@ class ModelMonitor:
         self._accepted_sums = [self._sum] * len(ACCEPTED)
         self.surprise = self._sum**0.5
         self._reversal.start(model.innovation * model.innovation)
+
+    def accept(self, plant: Plant, estimate: Estimate, *, is_late: bool) -> None:
+        """Accept a plant that has been identified as well, in place of one before it.
+
+        Parameters
+        ----------
+        plant, is_late
+            The plant, and whether an effort acts a tick later on it than the model says.
+        estimate
+            Where it is by this plant, a tick after the last sample.
+        """
+        model, _ = self._accepted[0]
+        observer = slow_observer_like(model, plant.discretise(self._period_s), self._memory)
+        observer.go_on_from(estimate.position, estimate.velocity, estimate.disturbance)
+        self._identified, self._is_identified_late = observer, is_late
+
+    def forget_identified(self) -> None:
+        """Accept no plant any more but those that the model allows."""
+        self._identified = None
 
     def forget_gains(self, model: DisturbanceObserver) -> None:
         """Compare other gains from here on, from the estimate of the law's observer, as an axis sets out from rest.
@@ -160,6 +211,8 @@ class ModelMonitor:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         for observer, _ in self._accepted:
             observer.shift(distance)
+        if self._identified is not None:
+            self._identified.shift(distance)
         for observer in self._gains:
             observer.shift(distance)
         for change in self._changes:
@@ -171,6 +224,9 @@ class ModelMonitor:
         late_effort = self._late_effort.delay(effort)
         for observer, is_delayed in self._accepted:
             observer.predict(late_effort if is_delayed else effort)
+        if self._identified is not None:
+            self._identified.predict(self._last_effort if self._is_identified_late else effort)
+        self._last_effort = effort
         for observer in self._gains:
             observer.predict(effort)
         for change in self._changes:
@@ -220,6 +276,11 @@ class ModelMonitor:
             sums[index] = kept * sums[index] + square
             if square < least_square:  # noqa: PLR1730 - `min` takes longer, ten times a tick
                 least_square = square
+        if (identified := self._identified) is not None:
+            acted = self._last_effort if self._is_identified_late else effort
+            identified.update(sample + identified.velocity * lag_s, acted)
+            least_square = min(least_square, identified.innovation * identified.innovation)
+        self._last_effort = effort
         self._is_lasting = self.surprise > LASTING_SHARE * self._least
         self._sum = kept * self._sum + least_square
         self.surprise = self._sum**0.5

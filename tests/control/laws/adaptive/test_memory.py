@@ -54,7 +54,8 @@ def test_the_next_move_is_that_of_the_law_that_has_learned() -> None:
         {"gain_share": 0.0}, {"gain_share": 0.2}, {"gain_share": nan}, {"pole_share": 0.0}, {"pole_share": 10.0},
         {"delay_ticks": 2}, {"delay_ticks": -1}, {"delay_evidence": 201.0}, {"delay_evidence": nan},
         {"load": (25.0, 0.0)}, {"load": (0.0, nan)}, {"load": (0.0, -inf)},
-        {"moves": 0}, {"moves": -1}, {"moves": 10**30},
+        {"moves": 0}, {"moves": -1}, {"moves": 10**30}, {"delay_ticks": 1, "delay_evidence": 5.0},
+        {"delay_ticks": 0, "delay_evidence": -5.0},
     ],
 )  # fmt: skip
 def test_what_identification_could_not_have_found_is_not_believed(changed: dict[str, Any]) -> None:

@@ -79,8 +79,12 @@ class AdaptiveDesign(StopsByRamp):
         velocity = self.task.velocity_limit
         return self._braking_way(velocity) / velocity
 
-    def _braking_way(self, velocity: float) -> float:
+    def changeover_distance(self, velocity: float) -> float:
         """Return how far before the set-point a cruise at a velocity (axis unit/s) ends, in axis unit."""
+        return self._braking_way(velocity) if velocity > 0.0 else 0.0
+
+    def _braking_way(self, velocity: float) -> float:
+        """Return the same of a velocity greater than 0, for a plant that is known."""
         task, deceleration = self.task, self.deceleration
         ways = self._model(self._poles).ways
         gain, step = abs(task.plant.gain), task.effort_rate_limit * task.period_s
@@ -116,9 +120,8 @@ class AdaptiveDesign(StopsByRamp):
         for name, model in (("", self._model(poles)), ("unknown_", self._model(poles.slower(self.rules.unknown)))):
             for stage in (Stage.SPEED, Stage.POSITION):
                 control = stage_control(self.task, model, stage)
-                follows = "position" if stage is Stage.POSITION else "velocity"
-                shown = control.in_numbers((0.0, 0.0, 0.0), follows)
-                loops[name + stage.name.lower()] = loop_of(control, self.task.sampled, shown)
+                # They follow a reference, and no step: that has no place in a linear system of this form.
+                loops[name + stage.name.lower()] = loop_of(control, self.task.sampled, control.in_numbers())
         brake = stage_control(self.task, self._model(poles), Stage.BRAKE)
         loops["brake"] = loop_of(brake, self.task.sampled, brake.in_numbers())
         return loops

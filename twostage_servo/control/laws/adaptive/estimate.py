@@ -15,6 +15,7 @@ from twostage_servo.control.laws.adaptive.memory import check_learned
 from twostage_servo.control.laws.adaptive.model import Model
 from twostage_servo.control.laws.adaptive.rules import (
     FINEST_SPREAD,
+    LOAD_DEVIATIONS,
     SPREAD_SHARE,
     LearningRules,
     Rules,
@@ -113,6 +114,11 @@ class ControlEstimate:
         """Whether moves are looked at."""
         return self._learns
 
+    @property
+    def observer(self) -> DisturbanceObserver:
+        """Its observer, whose estimate is that of a tick after the last sample."""
+        return self._observer
+
     # What it is given -------------------------------------------------------------------------------------------------
 
     def start(self, axis: DisturbanceObserver, effort: float) -> None:
@@ -193,9 +199,14 @@ class ControlEstimate:
         if not self._learns:
             return
         self._adopt(learning.believed)  # with the poles that the noise asks for
+        held = -direction * observer.disturbance  # what has to be held at rest, friction aside
+        most = LOAD_DEVIATIONS * self._learning_rules.prior_load * self._task.effort_limit
         load = learning.loads.get(direction)
+        if load is not None and abs(load - held) > most:
+            del learning.loads[direction]  # it has gone since, or was never there: it would drive the axis off
+            load = None
         if load is None:
-            load = -direction * observer.disturbance
+            load = held
         else:
             observer.correct(observer.velocity, -direction * load)
         self._expected_load = load

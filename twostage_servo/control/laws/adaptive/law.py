@@ -29,6 +29,7 @@ from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask, Learned, Stage
 from twostage_servo.control.laws.stop import Stop
 from twostage_servo.control.observer import DisturbanceObserver
+from twostage_servo.control.plant import Plant
 
 _SPEED, _POSITION, _BRAKE = Stage.SPEED, Stage.POSITION, Stage.BRAKE
 
@@ -166,6 +167,16 @@ class AdaptiveLaw:
     def learned(self) -> Learned:
         """What it has found out of the plant."""
         return self._estimate.learned
+
+    @property
+    def identified(self) -> Plant | None:
+        """The plant that it controls by as by one that is known; None while none is."""
+        return self._estimate.learning.identified
+
+    @property
+    def plant_estimate(self) -> DisturbanceObserver:
+        """Where the axis is by the plant that it believes in, a tick after the last sample."""
+        return self._estimate.observer
 
     def recall(self, learned: Learned) -> None:
         """Believe what has been learned before; see :meth:`~twostage_servo.control.laws.law.LearningLaw.recall`."""

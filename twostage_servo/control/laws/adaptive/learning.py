@@ -130,6 +130,11 @@ class Learning:
             is_sure=self.is_known,
         )
 
+    @property
+    def identified(self) -> Plant | None:
+        """The plant that is known, the same object until another is; None while none is."""
+        return self.believed if self.is_known else None
+
     def recall(self, learned: Learned) -> None:
         """Know what has been learned before, which has been checked."""
         self.forget()

@@ -35,6 +35,8 @@ def check_learned(learned: Learned, task: ControlTask, rules: LearningRules) -> 
             _check("load", load, (-task.effort_limit, task.effort_limit))
     _check("delay_ticks", learned.delay_ticks, (0, 1))
     _check("delay_evidence", learned.delay_evidence, (-MOST_DELAY_EVIDENCE, MOST_DELAY_EVIDENCE))
+    agrees = (-MOST_DELAY_EVIDENCE, 0.0) if learned.delay_ticks else (-rules.delay_evidence, MOST_DELAY_EVIDENCE)
+    _check(f"delay_evidence for {learned.delay_ticks} ticks", learned.delay_evidence, agrees)
     _check("moves", learned.moves, (1, _MOST_MOVES))
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from twostage_servo.control.plant import DiscretePlant
 
-_MOST_TAPS = 12
+_MOST_TAPS = 400
 """Longest average: it bounds the work of a tick where the effort's rate is low."""
 
 _RATE_SHARE = 0.75

@@ -26,12 +26,16 @@ SPREAD_SHARE: Final = 1.874
 """Spread of a sample for identification, as a multiple of the noise: a plant differs from its equation as well."""
 
 
-SWING_TICKS: Final = 2.4
+LOAD_DEVIATIONS: Final = 3.0
+"""Standard deviations of a load before one is known by which a learned one may differ from what is held at rest: by
+friction it does, and by what has changed since."""
+
+SWING_TICKS: Final = 5.0
 """Ticks in which the effort has to be able to go from none to its limit for loops as quick as the tick allows."""
 
 
 def loop_period_s(task: ControlTask) -> float:
-    """Return the tick that the loops are made for, in s: the task's, or a longer one where the effort's rate asks for it.
+    """Return the tick that the loops are made for, in s: the task's, or a longer one where the effort's rate is low.
 
     A loop that asks for more than the effort's rate gives oscillates with it. By how much it asks for more goes with
     the ratio of that swing to its own time, so both have to keep in step.

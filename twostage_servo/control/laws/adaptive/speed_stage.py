@@ -4,7 +4,7 @@
 effort, v+ becomes what will be reached, so nothing winds up.
 """
 
-from math import copysign
+from math import copysign, floor, sqrt
 
 from twostage_servo.control.laws.adaptive.changeover import Changeover
 from twostage_servo.control.laws.adaptive.course import Course
@@ -35,7 +35,17 @@ class SpeedStage:
         By how much the speed reference has risen over coasting in the last tick, ``v+ - a22 v``, in axis unit/s.
     """
 
-    __slots__ = ("_changeover", "_departure", "_estimate", "_largest_step", "_loop_period_s", "_period_s", "_ramp", "_rules", "rise")
+    __slots__ = (
+        "_changeover",
+        "_departure",
+        "_estimate",
+        "_largest_step",
+        "_loop_period_s",
+        "_period_s",
+        "_ramp",
+        "_rules",
+        "rise",
+    )
 
     def __init__(self, estimate: ControlEstimate, departure: Departure, task: ControlTask, rules: Rules) -> None:
         self._estimate = estimate
@@ -67,6 +77,8 @@ class SpeedStage:
         velocity, disturbance = direction * estimate.velocity, direction * estimate.disturbance
         goal = 0.0 if course.turns else course.cruise_velocity
         ahead = min(goal, speed + self._largest_rise(course)) if speed < goal else max(goal, speed - self._ramp)
+        if speed < goal:
+            ahead = min(ahead, speed + self._last_rise(goal - speed))
         back = model.feedback[1] * (speed - velocity) - disturbance
         wanted = (ahead - plant.a22 * speed) / plant.b2 + back
         effort, _ = limited_effort(wanted, direction * before, limit, self._largest_step)
@@ -94,6 +106,20 @@ class SpeedStage:
         rising_s = self._rules.first_acceleration * self._loop_period_s
         quickest = min(course.cruise_velocity / rising_s, abs(course.target - self._departure.position) / rising_s**2)
         return min(self._ramp, quickest * self._period_s)
+
+    def _last_rise(self, left: float) -> float:
+        """Return by how much the speed may rise in a tick for the effort's rate still to let it end at its goal.
+
+        Rises that become smaller by a step each add up to what is left of the speed in whole ticks, and a part.
+
+        Parameters
+        ----------
+        left
+            Speed that is left to the goal, in axis unit/s.
+        """
+        step = abs(self._estimate.model.sampled.b2) * self._largest_step
+        ticks = floor(0.5 * (sqrt(1.0 + 8.0 * left / step) - 1.0))
+        return left / (ticks + 1.0) + 0.5 * step * ticks
 
     def _turn_round(self, course: Course, ahead: float) -> None:
         """Set out for the set-point from rest, or nearly so."""

@@ -213,3 +213,76 @@ def test_a_plot_of_an_unknown_kind_or_in_no_folder_is_refused(
     assert main(["design", "--plot", str(tmp_path / "none" / "loops.png")]) == 3
     assert "the plot cannot be written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+def test_the_expected_response_is_shown_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "--uncertainty", "20", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["uncertainty"] == 20.0
+    assert (told["distance"], told["velocity"]) == (400.0, 100.0)
+    assert told["bound_s"] == pytest.approx(4.026, abs=0.001)
+    assert told["response"]["nominal"]["settling_time_s"] == pytest.approx(5.64)
+    assert told["response"]["worst"]["overshoot"] > told["response"]["nominal"]["overshoot"] > 3.0
+    assert [(one["distance"], one["velocity"]) for one in told["corners"]] == [
+        (2.5, 100.0), (400.0, 100.0), (2.5, 250.0), (1000.0, 250.0),
+    ]  # fmt: skip
+    assert main(["design", "--distance", "40", "--velocity", "20", "--uncertainty", "0"]) == 0
+    out = capsys.readouterr().out
+    assert "move       40 mm at 20 mm/s, to 0.05 mm" in out
+    assert "% off" not in out
+
+
+def test_the_margins_are_those_of_the_position_stage(capsys: pytest.CaptureFixture[str]) -> None:
+    """Independent figures of both laws on this axis: Ms 1.25 and 1.99, 21 and 2.04 ticks, 2.05 and 0.148 mm a volt."""
+    for law, expected in (("paper", (1.25, 21.0, 2.05)), ("adaptive", (1.99, 2.04, 0.148))):
+        assert main(["design", "--json", "--set", f"axis.law.type={law}", "--uncertainty", "0"]) == 0
+        margins = json.loads(capsys.readouterr().out)["margins"]
+        found = margins["peak_sensitivity"], margins["delay_margin_ticks"], margins["load_step_peak"]
+        assert found == pytest.approx(expected, rel=0.005)
+        assert margins["gain_margin"] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("option", "code"),
+    [
+        (["--uncertainty", "100"], "usage"),
+        (["--uncertainty", "-1"], "usage"),
+        (["--uncertainty", "nan"], "usage"),
+        (["--distance", "0.01"], "position_limit"),
+        (["--distance", "5001"], "position_limit"),
+        (["--distance", "nan"], "position_limit"),
+    ],
+)
+def test_an_impossible_move_or_uncertainty_is_refused(
+    capsys: pytest.CaptureFixture[str], option: list[str], code: str
+) -> None:
+    assert main(["design", "--json", *option]) == 2
+    assert json.loads(capsys.readouterr().out)["error"]["code"] == code
+
+
+def test_check_tells_what_the_configured_and_the_fastest_move_come_to(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "--json", "--uncertainty", "20"]) == 0
+    usual, fastest = json.loads(capsys.readouterr().out)["response"]
+    assert (usual["velocity"], fastest["velocity"]) == (100.0, 250.0)
+    assert usual["nominal"]["trip"] is None
+    assert fastest["worst"]["trip"] is not None
+    assert main(["check", "--uncertainty", "20"]) == 0
+    out = capsys.readouterr().out
+    assert "as the model:   settled after 5.64 s" in out
+    assert "up to 20 % off: trips (" in out
+
+
+def test_a_limit_that_the_configured_move_breaks_is_a_problem_with_the_value_that_would_do(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    tight = ["--set", "axis.limits.following_error_minimum=0.001", "--set", "axis.limits.following_error_time_s=1e-5"]
+    assert main(["check", "--json", *tight]) == 2
+    (problem,) = json.loads(capsys.readouterr().out)["error"]["problems"]
+    assert problem["key"] == "axis.limits.following_error_minimum"
+    assert "trips (following_error) even if the plant is as axis.plant says: 0.0011 would do" in problem["message"]
+
+
+def test_a_limit_that_the_fastest_move_breaks_is_a_note(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "--json", "--set", "axis.limits.overspeed=251"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    assert [note for note in notes if "axis.limits.overspeed is 251, 263.6 would do" in note]
