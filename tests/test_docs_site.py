@@ -1,10 +1,29 @@
 """What the docs site turns: links to and from the pages at the top of the tree, and equations."""
 
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 pytest.importorskip("mkdocs", reason="it comes with the extra docs")
 
-from tools.docs_site.hooks import from_top, to_top, typeset, without_roles
+from tools.docs_site.hooks import TREE, from_top, to_top, typeset, without_roles
+
+STEP_IN_CI = re.compile(r'^step "docs site" .*/mkdocs" (.*) --site-dir', re.MULTILINE)
+SITE = "{site_name: one page, theme: mkdocs, plugins: []}"
+
+
+def built_as_in_ci(folder: Path, page: str) -> subprocess.CompletedProcess[str]:
+    """Build a site of one page with the arguments of the step in .ci/run."""
+    (arguments,) = STEP_IN_CI.findall((TREE / ".ci" / "run").read_text(encoding="utf-8"))
+    (folder / "docs").mkdir()
+    (folder / "docs" / "index.md").write_text(page, encoding="utf-8")
+    (folder / "mkdocs.yml").write_text(SITE, encoding="utf-8")
+    command = [sys.executable, "-m", "mkdocs", *shlex.split(arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)  # noqa: S603 - our own text
 
 
 @pytest.mark.parametrize(
@@ -28,6 +47,8 @@ def test_a_link_of_a_file_at_the_top_leads_to_the_page(link: str, page: str) -> 
         ("../README.md#your-own-axis", "index.md#your-own-axis"),
         ("../../README.md", "../index.md"),
         ("../CHANGELOG.md", "changelog.md"),
+        ("../examples/01_first_move.py", "examples/01_first_move.py"),
+        ("../../examples/06_own_dbc/axis.toml", "../examples/06_own_dbc/axis.toml"),
         ("README.md", "README.md"),
         ("../states.md#x", "../states.md#x"),
         ("law.md", "law.md"),
@@ -36,6 +57,13 @@ def test_a_link_of_a_file_at_the_top_leads_to_the_page(link: str, page: str) -> 
 )
 def test_a_link_of_a_page_to_a_file_at_the_top_leads_to_its_page(link: str, page: str) -> None:
     assert to_top(link) == page
+
+
+@pytest.mark.parametrize(("link", "leads_somewhere"), [("index.md", True), ("nowhere.md", False)])
+def test_the_step_in_ci_fails_on_a_broken_link(tmp_path: Path, link: str, leads_somewhere: bool) -> None:
+    built = built_as_in_ci(tmp_path, f"[a link]({link})\n")
+    assert (built.returncode == 0) is leads_somewhere, built.stderr
+    assert leads_somewhere or "nowhere.md" in built.stderr
 
 
 def test_an_equation_is_typeset_with_its_number_beside_it() -> None:

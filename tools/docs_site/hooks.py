@@ -1,8 +1,8 @@
-"""Hooks of MkDocs: pages from the top of the tree, and equations without a script in the reader's browser.
+"""Hooks of MkDocs: files from the top of the tree, and equations without a script in the reader's browser.
 
 README.md, CONTRIBUTING.md and CHANGELOG.md stay where everybody looks for them; here they become pages of the site, and
-their links are adapted. Equations become MathML as the page is built. Docstrings are written with Sphinx's roles, which
-Markdown does not know: the reference shows only the names in them.
+their links are adapted. The examples come onto the site as they are. Equations become MathML as the page is built.
+Docstrings are written with Sphinx's roles, which Markdown does not know: the reference shows only the names in them.
 """
 
 import html
@@ -18,6 +18,10 @@ from mkdocs.structure.pages import Page
 TREE: Final = Path(__file__).resolve().parents[2]
 PAGES: Final = {"README.md": "index.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 """Files at the top of the tree, and the pages that they become."""
+EXAMPLES: Final = "examples/"
+"""The folder at the top of the tree whose files the site has as well, under the same names."""
+EXAMPLE_KINDS: Final = frozenset({".py", ".toml", ".dbc"})
+"""What is on the site of that folder: what somebody has written, and not what an installation leaves there."""
 
 _LINK: Final = re.compile(r"(?<=\]\()([^)\s]+)(?=\))")
 _EQUATION: Final = re.compile(r'<(span|div) class="arithmatex">\\[(\[](.*?)\\[)\]]</\1>', re.DOTALL)
@@ -27,10 +31,13 @@ _LITERAL_BLOCK: Final = re.compile(r"(?:<p>:|(?<=\S):):</p>(?=\s*<(?:div|pre)\b)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Add the pages from the top of the tree."""
+    """Add the pages from the top of the tree, and the examples."""
     for name, page in PAGES.items():
         text = (TREE / name).read_text(encoding="utf-8")
         files.append(File.generated(config, page, content=_LINK.sub(lambda link: from_top(link[1]), text)))
+    for path in sorted((TREE / EXAMPLES).rglob("*")):
+        if path.suffix in EXAMPLE_KINDS:
+            files.append(File.generated(config, path.relative_to(TREE).as_posix(), abs_src_path=str(path)))
     return files
 
 
@@ -56,7 +63,9 @@ def to_top(link: str) -> str:
     path, mark, place = link.partition("#")
     steps, name = path[: path.rfind("../") + 3] if "../" in path else "", path.rpartition("../")[2]
     # A page in docs/ leaves it by its last step up.
-    return f"{steps.removesuffix('../')}{PAGES[name]}{mark}{place}" if steps and name in PAGES else link
+    if not steps or not (name in PAGES or name.startswith(EXAMPLES)):
+        return link
+    return f"{steps.removesuffix('../')}{PAGES.get(name, name)}{mark}{place}"
 
 
 def without_roles(content: str) -> str:
