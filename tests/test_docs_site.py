@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("mkdocs", reason="it comes with the extra docs")
 
-from tools.docs_site.hooks import TREE, from_top, to_top, typeset, without_roles
+from tools.docs_site.hooks import TREE, breakable, examples_page, from_top, to_top, typeset, without_roles
 
 STEP_IN_CI = re.compile(r'^step "docs site" .*/mkdocs" (.*) --site-dir', re.MULTILINE)
 SITE = "{site_name: one page, theme: mkdocs, plugins: []}"
@@ -33,6 +33,7 @@ def built_as_in_ci(folder: Path, page: str) -> subprocess.CompletedProcess[str]:
         ("docs/pictures/move.svg", "pictures/move.svg"),
         ("CONTRIBUTING.md", "contributing.md"),
         ("CHANGELOG.md#unreleased", "changelog.md#unreleased"),
+        ("examples/01_first_move.py", "examples.md#01_first_move-py"),
         ("#your-own-axis", "#your-own-axis"),
         ("https://semver.org/", "https://semver.org/"),
     ],
@@ -47,8 +48,8 @@ def test_a_link_of_a_file_at_the_top_leads_to_the_page(link: str, page: str) -> 
         ("../README.md#your-own-axis", "index.md#your-own-axis"),
         ("../../README.md", "../index.md"),
         ("../CHANGELOG.md", "changelog.md"),
-        ("../examples/01_first_move.py", "examples/01_first_move.py"),
-        ("../../examples/06_own_dbc/axis.toml", "../examples/06_own_dbc/axis.toml"),
+        ("../examples/05_own_law/cascade_law.py", "examples.md#05_own_law-cascade_law-py"),
+        ("../../examples/01_first_move.py", "../examples.md#01_first_move-py"),
         ("README.md", "README.md"),
         ("../states.md#x", "../states.md#x"),
         ("law.md", "law.md"),
@@ -89,3 +90,28 @@ def test_an_equation_is_typeset_with_its_number_beside_it() -> None:
 )
 def test_the_reference_shows_the_names_in_sphinx_roles(docstring: str, shown: str) -> None:
     assert without_roles(docstring) == shown
+
+
+def test_every_example_is_on_the_page_of_the_examples_where_a_link_to_it_leads() -> None:
+    page = examples_page(TREE / "examples")
+    files = [path for path in (TREE / "examples").glob("**/*") if path.suffix in {".py", ".toml", ".dbc"}]
+    files = [path for path in files if "build" not in path.parts]
+    assert files
+    for path in files:
+        assert path.read_text(encoding="utf-8").strip() in page
+        place = from_top(path.relative_to(TREE).as_posix()).partition("#")[2]
+        assert f"{{ #{place} }}\n" in page
+
+
+@pytest.mark.parametrize(
+    ("code", "shown"),
+    [
+        ("moving_speed_stage", "moving_speed_stage"),
+        ("service/tick.py", "service/<wbr>tick.py"),
+        ("demo --fast", 'demo <span class="whole">--fast</span>'),
+        ("run /etc/twostage-servo/x", 'run /etc/<wbr><span class="whole">twostage-servo/</span><wbr>x'),
+        ("&lt;a-b&gt;", '<span class="whole">&lt;a-b&gt;</span>'),
+    ],
+)
+def test_code_in_a_sentence_is_broken_behind_a_slash_alone(code: str, shown: str) -> None:
+    assert breakable(code) == shown
