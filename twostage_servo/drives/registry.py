@@ -36,8 +36,9 @@ class DriveType(Generic[SettingsT, DriveT]):
         The class of the table ``[protocol]``, a :class:`~twostage_servo.drives.settings.DriveSettings` at the top level
         of its module.
     build
-        ``build(settings, folder of the configuration, unit of the axis, whether the frames are CAN FD ones)`` makes a
-        drive; it raises :class:`~twostage_servo.drives.protocol_error.ProtocolError` for what does not fit.
+        ``build(settings, folder, unit, fd)`` makes a drive. `folder` is that of the configuration, `unit` that of the
+        axis, and `fd` says whether the frames are CAN FD ones. It raises
+        :class:`~twostage_servo.drives.protocol_error.ProtocolError` for what does not fit.
     side
         Builds the drive's end of it, for the simulated drive.
     check_unchanged
