@@ -319,7 +319,7 @@ def trip_table() -> str:
     for code, rule in RULES.items():
         how = rule.reaction.name.lower().replace("_", " ")
         how += ", on the model alone" if rule.blind else ""
-        how += ", on the model alone and from its own speed" if rule.reckoned else ""
+        how += ", on the model alone, from the speed that it computes" if rule.reckoned else ""
         how += f"; the reference is lost: {rule.position_in_doubt}" if rule.unreferenced else ""
         how += "; also while disabled" if rule.while_disabled else ""
         lines.append(f"| `{code}` | {how} | {rule.next_action} |")
