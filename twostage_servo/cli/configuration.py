@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twostage_servo.cli.output import CommandError, ExitCode, note
+from twostage_servo.cli.typed_names import file_path, utf8
 from twostage_servo.config.files import find_configuration
 
 if TYPE_CHECKING:
@@ -19,13 +20,14 @@ def add_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     """Declare --config, --set and --json."""
     parser.add_argument(
         "--config",
-        type=Path,
+        type=file_path,
         metavar="FILE",
         required=required,
         help="TOML file, or the name of a shipped one" + ("" if required else " (default: the embedded demo.toml)"),
     )
     parser.add_argument(
         "--set",
+        type=utf8,
         action="append",
         default=[],
         metavar="KEY=VALUE",
