@@ -109,13 +109,13 @@ class Requests:
     def disarm(self, reason: str | None = None) -> None:
         """Bring a moving axis to rest, then disable the drive; an axis at rest is disabled at once.
 
+        Never refused: one that is disabled, or is about to be after a trip, goes on as it was.
+
         Parameters
         ----------
         reason
             What the end of a move is explained by, where it is not the operator who has asked for it.
         """
-        if self._machine.state in LATCHED:  # disabled already, or about to be
-            return
         before = self._machine.state
         self._machine.apply(Event.DISARM)
         if (

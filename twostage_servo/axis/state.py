@@ -86,6 +86,8 @@ TRANSITIONS: MappingProxyType[tuple[State, Event], State] = MappingProxyType(
         **{(state, _E.QUICK_STOP): _S.TRIPPED_QUICK_STOP for state in (_S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP)},
         **{(state, _E.DISARM): _S.DISARMED for state in (_S.DISARMED, _S.ARMING, _S.HOLDING)},
         **{(state, _E.DISARM): _S.DISARMING for state in (*_COMMANDED, _S.STOPPING, _S.QUICK_STOPPING, _S.DISARMING)},
+        # A tripped axis is off, or brakes to be: that is all that it is asked for, and what it does
+        **{(state, _E.DISARM): state for state in (_S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP, _S.TRIPPED)},
         (_S.TRIPPED, _E.RESET): _S.DISARMED,
         (_S.DISARMED, _E.RESET): _S.DISARMED,
         # What the motion comes to
