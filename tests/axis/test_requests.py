@@ -88,6 +88,25 @@ def test_a_jog_and_a_search_are_kept_as_moves() -> None:
     assert (move.number, move.kind, move.target, move.velocity) == (3, "home", 12.0, 40.0)
 
 
+@pytest.mark.parametrize("armed", [True, False])
+def test_a_position_that_is_declared_is_kept_as_a_homing_in_place_of_the_move_before(*, armed: bool) -> None:
+    rig = AxisRig().armed()
+    rig.axis.move_to(30.0, 100.0)
+    until(rig, lambda: rig.state() is State.HOLDING, 5.0)
+    if not armed:
+        rig.axis.disarm()
+        rig.seconds(0.1)
+    stands_at = rig.axis.drive.position
+    assert stands_at is not None
+    rig.axis.set_position(500.0)
+    move = rig.axis.move
+    assert move is not None
+    assert (move.number, move.kind, move.target, move.velocity, move.outcome) == (2, "home", 500.0, 0.0, "reached")
+    assert move.start == pytest.approx(500.0, abs=0.1)
+    if armed:
+        assert rig.axis.set_point == pytest.approx(30.0 + 500.0 - stands_at)
+
+
 def test_a_jog_without_a_reference_goes_as_far_as_an_hour_takes() -> None:
     rig = rig_with({"required": True}, velocity=250.0)
     rig.position = rig.sample = 5.0

@@ -242,6 +242,7 @@ class Requests:
         self._admission.check_place(position, velocity, self._rest_velocity)
         assert self._drive.position is not None  # noqa: S101 - just checked
         self._origin.refer(self._drive.position, position)
+        self._operation.declare_homed(position)
 
     def stop(self, reason: str | None = None, *, quick: bool = False) -> None:
         """Brake, with the acceleration limit or the quick stop deceleration, and hold where the axis comes to rest.
