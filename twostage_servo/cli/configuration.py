@@ -32,7 +32,8 @@ def add_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
         default=[],
         metavar="KEY=VALUE",
         dest="overrides",
-        help="override a configuration key by its dotted path, such as simulation.noise_std=0.03; may be repeated",
+        help="override a configuration key by its dotted path, such as simulation.noise_std=0.03; may be repeated; "
+        "AXIS:KEY=VALUE for one axis of several",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
