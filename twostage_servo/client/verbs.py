@@ -1,7 +1,7 @@
 """What each verb asks the service for, and what it waits for, step by step: how an axis is operated."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final, TypeVar
 
 from twostage_servo.api.fields import JsonObject
@@ -100,7 +100,7 @@ class Verbs:
         """Arm, and wait until the axis holds."""
         yield from self._asked(_made(ArmRequest, axis=self._axis))
         status = yield from self._until(_none_in(_ARMING))
-        for report in status.axes.values():
+        for report in _tripped_first(status.axes.values()):
             if report.axis.state is not State.HOLDING:
                 raise _ended(report, status, f"{report.axis.name} is {report.axis.state}, and does not hold")
         return status
@@ -209,7 +209,7 @@ class Verbs:
             return False
 
         status: Status = yield Until(_made(WatchRequest, axis=self._axis, every=_PROGRESS_TICKS), is_over)
-        for report in (status.axes[name] for name in names):
+        for report in _tripped_first(status.axes[name] for name in names):
             if report.move is not None and report.move.outcome is not MoveOutcome.REACHED:
                 raise _ended(report, status)
         return status
@@ -273,6 +273,11 @@ def _outcome_of(report: AxisReport) -> MoveOutcome | None:
     return None if report.move is None else report.move.outcome
 
 
+def _tripped_first(reports: Iterable[AxisReport]) -> list[AxisReport]:
+    """Return the same, those first that have tripped: by them the others were stopped."""
+    return sorted(reports, key=lambda report: report.trip is None)
+
+
 def _none_in(states: frozenset[State]) -> Callable[[Status], bool]:
     """Return whether no axis is in one of these states, and no drive still has to report that it is off."""
     return lambda status: (
@@ -283,7 +288,7 @@ def _none_in(states: frozenset[State]) -> Callable[[Status], bool]:
 def _ended(report: AxisReport, status: Status, text: str = "") -> ServoError:
     """Return why a motion has ended before its time."""
     if report.trip is not None:
-        return Tripped(report.trip, status)
+        return Tripped(report.axis.name, report.trip, status)
     outcome = MoveOutcome.STOPPED if text else _outcome_of(report) or MoveOutcome.STOPPED
     why = f": {report.move.reason}" if report.move is not None and report.move.reason else ""
     return Interrupted(outcome, text or f"the motion of {report.axis.name} was {outcome} before its end{why}", status)
