@@ -101,7 +101,8 @@ RULES: dict[TripCode, TripRule] = {
     TripCode.STALE_FEEDBACK: TripRule(
         _QUICK,
         "Check the drive's supply, its bus cable and its identifiers; if the cause mentions late frames, find the "
-        "node that floods the bus. Then `reset` and `arm`, and `home` if `status` says that the position is not known.",
+        "node that floods the bus; a simulated drive is a program, and late on a busy host. Then `reset` and `arm`, "
+        "and `home` if `status` says that the position is not known.",
         blind=True,
     ),
     TripCode.FEEDBACK_ERRORS: TripRule(
