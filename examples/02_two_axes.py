@@ -4,23 +4,30 @@ Start two simulated drives and a service first, in a terminal each: ``twostage-s
 ``twostage-servo run --config two_axes.toml``.
 """
 
+import sys
+
 import twostage_servo
 
 CORNERS = ((100.0, 0.0), (100.0, 60.0), (0.0, 60.0), (0.0, 0.0))
 """Positions of x and y, in mm."""
 
 
-def main() -> None:
-    """Go round a rectangle; if one axis trips, the other stops, and what it tripped by is told."""
+def main() -> int:
+    """Go round a rectangle; if one axis trips, the other stops, and it is told which has tripped, and by what."""
+    code = 0
     with twostage_servo.connect() as machine:
         machine.arm()
         try:
             for x, y in CORNERS:
                 machine.move({"x": x, "y": y}, wait=True)
         except twostage_servo.Tripped as error:
-            print(f"{error.trip.code}: {error.trip.cause}\nNext: {error.trip.next_action}")
+            print(
+                f"Axis {error.axis} has tripped, {error.trip.code}: {error.trip.cause}\nNext: {error.trip.next_action}"
+            )
+            code = 3  # as the commands have it
         machine.disarm()
+    return code
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

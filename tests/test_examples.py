@@ -101,11 +101,12 @@ def test_two_axes_go_round_a_rectangle_and_one_that_trips_stops_both(
     overrides = ["y:simulation.hard_stop_maximum=20"] if y_is_held else []
     machine = load_machine(ROOT / "config" / "two_axes.toml", overrides)
     errors: list[BaseException] = []
+    codes: list[int] = []
     places: list[tuple[float, float]] = []
 
     def operate() -> None:
         try:
-            example("02_two_axes.py").main()
+            codes.append(example("02_two_axes.py").main())
         except BaseException as error:  # noqa: BLE001 - told below, in the thread of the test
             errors.append(error)
 
@@ -126,10 +127,13 @@ def test_two_axes_go_round_a_rectangle_and_one_that_trips_stops_both(
     assert not errors
     told = capsys.readouterr().out
     if y_is_held:
-        assert "Next: " in told
+        assert "\nAxis y has tripped, stall: " in told
+        assert "\nNext: " in told
+        assert codes == [3]
         assert max(y for _, y in places) < 21.0
     else:
-        assert "Next: " not in told
+        assert "has tripped" not in told
+        assert codes == [0]
         for corner in ((100.0, 0.0), (100.0, 60.0), (0.0, 60.0)):
             assert any(place == pytest.approx(corner, abs=0.5) for place in places)
 

@@ -177,6 +177,15 @@ def test_the_log_gives_no_orders_but_its_own_colours(kind: type[io.StringIO], te
     assert harmless(shown)
 
 
+def test_the_log_shows_the_values_of_enumerations_inside_a_field_as_well() -> None:
+    stream = Terminal()
+    writer = open_log("info", stream)
+    structlog.get_logger().info("ending", states={"x": State.DISARMED}, told=(State.HOLDING, 1), now=State.TRIPPED)
+    writer.close()
+    shown = re.sub(r"\x1b\[\d+m", "", stream.getvalue())
+    assert "now=tripped states={'x': 'disarmed'} told=('holding', 1)" in shown
+
+
 @given(text=texts)
 def test_the_journal_has_no_orders_in_its_message(text: str) -> None:
     entry = journal_entry({"event": text, "level": "info", "axis": text, "reason": text, "more": {text: 1}})

@@ -248,11 +248,19 @@ def test_an_axis_that_is_armed_with_a_wrong_place_is_told(monkeypatch: pytest.Mo
         soak.axis.machine.state = State.HOLDING
         wrong = soak.watch.check(place, 0.0, 0.0)
         assert ("counts as referenced" in (wrong or "")) is told
-    soak.watch.placed()
+    soak.watch.placed(0.0)
     soak.axis.machine.state = State.DISARMED
     soak.watch.check(0.0, 0.0, 0.0)
     soak.axis.machine.state = State.HOLDING
     assert soak.watch.check(0.1 * allowed, 0.0, 0.0) is not None
+
+
+def test_a_place_told_of_an_axis_that_has_just_set_out_may_be_off_by_what_its_samples_do_not_show_yet() -> None:
+    soak = AxisSoak(1)
+    design = soak.axis.design
+    for speed, off_by in ((0.0, 0.0), (design.rest_velocity, 0.0), (20.0 * design.rest_velocity, 1.0)):
+        soak.watch.placed(speed)
+        assert soak.watch.in_doubt is (off_by > 0.0)
 
 
 def test_an_effort_beyond_its_limit_its_rate_or_its_state_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -113,6 +113,10 @@ def test_homing_to_a_hard_stop_never_pushes_harder_than_it_may() -> None:
     )  # what holds is the estimated load, not the limit
     assert 1.0 <= 60.0 - rig.position <= 1.25  # 20 windows of 0.05 mm off it, and the way of the stop
     assert rig.axis.drive.position == pytest.approx(rig.sample - 48.0, abs=0.01)
+    move = rig.axis.move
+    assert move is not None
+    assert (move.target, move.outcome) == (12.0, "reached")
+    assert move.start == pytest.approx(-48.0, abs=0.1)
     assert abs(rig.commands[-1].effort) < 0.05
     assert rig.axis.law.effort_limit == 24.0
     rig.axis.move_to(0.0, 50.0)

@@ -1,6 +1,7 @@
 """What each request leaves behind at once: the move with its numbers, its outcome, the deceleration, the refusal."""
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -11,10 +12,21 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.moves import Move
-from twostage_servo.axis.state import State
+from twostage_servo.axis.refusals import Refused
+from twostage_servo.axis.state import ENABLED, Event, State, next_state
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.law import Stage
 
+REQUESTS: dict[Event, Callable[[Axis], object]] = {
+    Event.ARM: lambda axis: axis.arm(),
+    Event.DISARM: lambda axis: axis.disarm(),
+    Event.MOVE_SPEED: lambda axis: axis.move_to(200.0, 100.0),
+    Event.JOG: lambda axis: axis.jog(10.0),
+    Event.HOME: lambda axis: axis.home(),
+    Event.STOP: lambda axis: axis.stop(),
+    Event.QUICK_STOP: lambda axis: axis.stop(quick=True),
+    Event.RESET: lambda axis: axis.reset(),
+}
 SEARCH: dict[str, Any] = {"method": "index", "velocity": 40.0, "slow_velocity": 5.0, "travel": 300.0, "position": 12.0}
 
 
@@ -29,6 +41,22 @@ def decelerations(rig: AxisRig, monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
     monkeypatch.setattr(rig.axis.motion, "stop", noted)
     return begun
+
+
+@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("event", list(REQUESTS))
+def test_a_request_is_refused_in_those_states_alone_in_which_the_table_lists_no_such_event(
+    event: Event, state: State
+) -> None:
+    rig = rig_with(SEARCH | {"required": False})
+    rig = rig.armed() if state in ENABLED else rig.seconds(0.1)
+    rig.axis.machine.state = state
+    if next_state(state, event) is None:
+        with pytest.raises(Refused):
+            REQUESTS[event](rig.axis)
+    else:
+        REQUESTS[event](rig.axis)
+    assert rig.state() is (next_state(state, event) or state)
 
 
 def test_a_move_is_kept_with_its_numbers() -> None:
@@ -58,6 +86,25 @@ def test_a_jog_and_a_search_are_kept_as_moves() -> None:
     move = rig.axis.move
     assert move is not None
     assert (move.number, move.kind, move.target, move.velocity) == (3, "home", 12.0, 40.0)
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_a_position_that_is_declared_is_kept_as_a_homing_in_place_of_the_move_before(*, armed: bool) -> None:
+    rig = AxisRig().armed()
+    rig.axis.move_to(30.0, 100.0)
+    until(rig, lambda: rig.state() is State.HOLDING, 5.0)
+    if not armed:
+        rig.axis.disarm()
+        rig.seconds(0.1)
+    stands_at = rig.axis.drive.position
+    assert stands_at is not None
+    rig.axis.set_position(500.0)
+    move = rig.axis.move
+    assert move is not None
+    assert (move.number, move.kind, move.target, move.velocity, move.outcome) == (2, "home", 500.0, 0.0, "reached")
+    assert move.start == pytest.approx(500.0, abs=0.1)
+    if armed:
+        assert rig.axis.set_point == pytest.approx(30.0 + 500.0 - stands_at)
 
 
 def test_a_jog_without_a_reference_goes_as_far_as_an_hour_takes() -> None:

@@ -125,7 +125,7 @@ def test_an_encoder_that_freezes_in_a_stop_does_not_drive_the_axis_on(ticks: int
 def test_a_stop_by_the_model_alone_ends_where_a_load_that_it_supposes_would_push_the_axis_on(
     load: float, *, stops: bool
 ) -> None:
-    """There is no such load: at the 2.5 V that a stop behind a still encoder may give, the axis went back 27 mm."""
+    """There is no such load: at the 2.5 V that a stop behind a still encoder may give, it went 27 mm the other way."""
     rig = AxisRig().cruising(2000.0, 20.0)
     frozen = rig.sample
     rig.sees = lambda _: frozen

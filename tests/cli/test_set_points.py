@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twostage_servo.cli import operator_verbs
-from twostage_servo.cli.main import build_parser
+from twostage_servo.cli.main import build_parser, main
 from twostage_servo.cli.output import CommandError
 from twostage_servo.cli.typed_numbers import decimal
 
@@ -24,10 +24,25 @@ def test_it_becomes_what_the_service_is_asked_for(typed: list[str], wanted: floa
     assert operator_verbs._wanted(build_parser().parse_args(["move", *typed])) == wanted
 
 
-@pytest.mark.parametrize("typed", [[], ["1", "2"], ["1", "x=2"], ["x=1", "x=2"], ["1", "--by", "2"]])
+@pytest.mark.parametrize("typed", [[], ["1", "2"], ["1", "x=2"], ["1", "--by", "2"]])
 def test_anything_else_is_explained(typed: list[str]) -> None:
     with pytest.raises(CommandError, match="NAME=POSITION"):
         operator_verbs._wanted(build_parser().parse_args(["move", *typed]))
+
+
+@pytest.mark.parametrize(
+    ("typed", "why"),
+    [
+        (["x=1", "y=3", "x=2"], "x is given twice"),
+        (["x=1", "--axis", "y"], "the set-points name their axes (x): leave --axis y out"),
+        (["x=1", "--axis", "x"], "the set-points name their axes (x): leave --axis x out"),
+    ],
+)
+def test_axes_that_contradict_each_other_are_named(
+    typed: list[str], why: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["move", *typed, "--socket", "/nowhere"]) == 2  # and not 4: nobody is asked
+    assert why in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,7 @@ def test_a_verb_after_which_the_drive_should_be_off_says_that_nobody_knows_wheth
 ) -> None:
     assert run(monkeypatch, verb, shown[name])[0] == 3
     out = capsys.readouterr().out
-    assert out.startswith(f"x: disarmed at unknown mm; {why}\n")
+    assert out.startswith(f"x: disarmed, position unknown; {why}\n")
     assert "x: nobody knows whether the drive is off; its own command time-out should have stopped it" in out
     assert run(monkeypatch, verb, shown["disarmed"])[0] == 0
     assert "not known" not in capsys.readouterr().out
@@ -95,7 +95,7 @@ def test_a_stop_of_what_is_disarmed_is_done_if_the_drive_is_off(
         told[:] = [shown[name]]
         assert run(monkeypatch, "stop", shown[name])[0] == code
         captured = capsys.readouterr()
-        assert captured.out.startswith("x: disarmed at ")
+        assert captured.out.startswith("x: disarmed")
         assert "there is nothing to stop" in captured.err
 
 

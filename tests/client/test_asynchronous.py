@@ -11,13 +11,17 @@ import twostage_servo
 from tests.service.operators import connect, serve
 from tests.service.rig import World
 from twostage_servo.api.status import Status
+from twostage_servo.app.closed_loop import Wires, closed_loop
 from twostage_servo.axis.moves import MoveKind, MoveOutcome
 from twostage_servo.axis.refusals import RefusalCode
 from twostage_servo.axis.state import MOVING, State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.client.asynchronous import AsyncServoClient
 from twostage_servo.client.errors import Reason
+from twostage_servo.config.files import shipped_configuration
+from twostage_servo.config.machine import load_machine
 from twostage_servo.service.control_socket import ControlSocket
+from twostage_servo.timing.virtual_clock import run
 
 Operated = Callable[[World, AsyncServoClient, Path], Awaitable[None]]
 
@@ -151,6 +155,28 @@ def test_a_trip_is_raised_with_its_code_and_the_status(tmp_path: Path) -> None:
         assert (await axis.reset()).axis.state is State.DISARMED
 
     operated(tmp_path, script)
+
+
+def test_of_two_axes_that_move_together_the_one_that_has_tripped_is_named(tmp_path: Path) -> None:
+    """The other one was stopped by it, and comes before it."""
+
+    async def script() -> None:
+        async with closed_loop(load_machine(shipped_configuration("two_axes.toml")), wires=Wires()) as loop:
+            control = loop.control_socket(tmp_path / "control.sock")
+            await control.start()
+            async with twostage_servo.connect_async(tmp_path / "control.sock") as machine:
+                await asyncio.sleep(0.5)
+                await machine.arm()
+                await machine.move({"x": 300.0, "y": 300.0})
+                later = asyncio.create_task(machine.wait_until_reached())
+                await asyncio.sleep(0.5)
+                loop.axes["y"].axis_loop.axis.raise_trip(TripCode.STALL, "for a test.")
+                with pytest.raises(twostage_servo.Tripped, match=r"^axis y: trip stall: for a test\. Find") as tripped:
+                    await later
+            assert tripped.value.axis == "y"
+            await control.stop()
+
+    run(script())
 
 
 def test_a_motion_that_takes_too_long_is_told_and_goes_on(tmp_path: Path) -> None:

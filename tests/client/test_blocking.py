@@ -86,6 +86,26 @@ def test_a_number_that_is_none_is_not_sent(script: Script, value: float) -> None
     assert script.asked() == []
 
 
+@pytest.mark.parametrize("wait", [False, True])
+def test_set_points_by_name_from_a_client_of_one_axis_are_not_sent(script: Script, wait: bool) -> None:
+    with script.connect(axis="y") as client, pytest.raises(Refused, match="leave axis out") as caught:
+        client.move({"x": 12.0}, wait=wait)
+    assert caught.value.code is RefusalCode.BAD_REQUEST
+    assert script.asked() == []
+
+
+@pytest.mark.parametrize("op", [*OF_AN_AXIS, "recording", "disarm", "jog"])
+def test_a_name_that_no_axis_can_have_is_refused_as_any_other(script: Script, op: str) -> None:
+    verbs = OF_AN_AXIS | {
+        "recording": lambda client: client.recording(),
+        "disarm": lambda client: client.disarm(),
+        "jog": lambda client: client.jog(1.0),
+    }
+    with script.connect(axis=65 * "y") as client, pytest.raises(Refused, match="at most 64 characters"):
+        verbs[op](client)
+    assert script.asked() == []
+
+
 @pytest.mark.parametrize("code", [*RefusalCode, "of_a_later_version"])
 def test_a_refusal_is_raised_with_its_code(script: Script, code: str) -> None:
     with script.connect() as client:

@@ -109,6 +109,17 @@ def test_a_missing_file() -> None:
     )
 
 
+@pytest.mark.parametrize("typed", ["two_processes", "two_proceses.toml"])
+def test_a_missing_file_that_is_named_nearly_as_a_shipped_one(typed: str) -> None:
+    assert str(only_problem(Path(typed))) == f"{typed}: there is no such file; did you mean two_processes.toml?"
+
+
+def test_a_missing_file_that_is_named_nearly_as_one_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "axis_left.toml").write_text(VALID, "utf-8")
+    problem = only_problem(tmp_path / "axis_lfet.toml")
+    assert problem.message == f"there is no such file; did you mean {tmp_path}/axis_left.toml?"
+
+
 def test_a_folder() -> None:
     write(VALID)
     assert str(only_problem(Path())) == ".: this is a folder; name a TOML file in it: axis.toml"

@@ -171,6 +171,7 @@ def test_the_fault_campaign_refuses_what_no_dbc_describes(
     line = file.read_text(encoding="utf-8").split("\n").index('type = "node"') + 1
     knows = 'the fault campaign knows the frames of drives of type "dbc" alone'
     assert f'{file}:{line}: protocol.type = "node": {knows}' in err
+    assert "run it on a copy of this file without [protocol]" in err
 
 
 def test_the_example_declares_the_entry_point_that_these_tests_install() -> None:

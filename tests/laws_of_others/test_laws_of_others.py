@@ -21,6 +21,9 @@ from twostage_servo.control.laws.adaptive.adaptive_type import ADAPTIVE
 from twostage_servo.control.laws.paper_type import PAPER
 from twostage_servo.control.laws.registry import LawType
 from twostage_servo.control.laws.tracking import TrackingDesign
+from twostage_servo.drives.dbc.drive_type import DBC
+from twostage_servo.drives.registry import DriveType
+from twostage_servo.settings.base import Settings
 
 __all__ = ["cascade"]
 
@@ -128,6 +131,16 @@ def test_a_package_that_is_broken_is_told(
     told = refused("axis.law.type=broken")
     assert f"the law 'broken' {why}" in told
     forget_laws()
+
+
+def test_settings_that_another_process_could_not_import_are_told_before_a_reload_needs_them() -> None:
+    class Local(Settings):
+        pass
+
+    with pytest.raises(TypeError, match=r"Local of tests\..* cannot be imported .*: define it at the top level"):
+        LawType(Local, ADAPTIVE.design)
+    with pytest.raises(TypeError, match="cannot be imported by its name"):
+        DriveType[Any, Any](Local, DBC.build, DBC.side)
 
 
 @pytest.mark.parametrize(("name", "law"), [("paper", PAPER), ("adaptive", ADAPTIVE)])

@@ -22,7 +22,7 @@ FIELDS: Final[dict[str, str]] = {
     "trip": "axis tick code cause next_action",
     "more severe trip": "axis tick code cause",
     "further trip": "axis tick code cause",
-    "no recording of the trip: out of memory": "axis",
+    "no recording of the trip: out of memory": "axis code",
     "the cause of the trip lasts": "axis tick code cause next_action",
     "a condition lasts that has not tripped the axis": "axis tick code cause next_action",
     "the axis moves although its drive was told to disable": "axis tick moved unit",
@@ -39,7 +39,7 @@ FIELDS: Final[dict[str, str]] = {
     "more frames arrive than a tick reads: those that have to wait do not count as fresh": (
         "bus tick new total frames_a_tick"
     ),
-    "frame rejected": "room reason text",
+    "frame rejected": "room axis reason text",
     # Clients
     "request": "room peer op",
     "refused": "room peer op code reason",
@@ -59,14 +59,17 @@ FIELDS: Final[dict[str, str]] = {
     "the drive could not be told to disable; only its own command time-out stops it": "axis error",
     "the drive did not report that it is disabled; only its own command time-out stops it": ("axis code told_ms moved"),
     "not suspended: a suspended service cannot control its drives; end it with SIGTERM or Ctrl-C": "signal",
-    "trip file": "room trip path",
-    "no trip file": "room trip error",
+    "trip file": "room axis code path",
+    "no trip file": "room axis code error",
     "a trip file is not written: its disk does not respond": "room folder",
     "log lines were lost: the reader of the log does not keep up": "lines",
 }
 
 _WITHOUT_VALUE: Final = {"moved", "error_counters"}
 """May be None: nothing has shown motion, or the interface does not tell."""
+
+_OF_REQUESTS: Final = {"request", "refused", "request dropped: its client has disconnected"}
+"""They name the axis where the request is for one alone."""
 
 _BESIDES: Final = {"event", "log_level", "level", "timestamp", "left_out"}
 
@@ -80,6 +83,8 @@ def defects(lines: Iterable[Mapping[str, Any]]) -> list[str]:
             found.append(f"a line without a text: {dict(line)}")
         elif event in FIELDS:
             wanted, fields = set(FIELDS[event].split()), set(line) - _BESIDES
+            if event in _OF_REQUESTS and "axis" in fields:
+                wanted.add("axis")
             if not (wanted <= fields if event == "request" else wanted == fields):
                 found.append(f"{event!r} has {sorted(fields)} in place of {sorted(wanted)}")
             found += [f"{event!r} has {name} = {line[name]!r}" for name in fields if _says_nothing(name, line[name])]

@@ -137,13 +137,13 @@ def test_a_trip_file_that_could_not_be_written_is_told_with_folder_and_reason(
         raise error
 
     async def write() -> None:
-        TripFiles(tmp_path, fail).write("x", {}, ())
+        TripFiles(tmp_path, fail).write("x", "stall", {}, ())
 
     with structlog.testing.capture_logs() as logs:
         run(write())
     assert logs == [
         {
-            "event": "no trip file", "log_level": "error", "room": "trip_files", "trip": "x",
+            "event": "no trip file", "log_level": "error", "room": "trip_files", "axis": "x", "code": "stall",
             "error": f"no trip file can be written in {tmp_path}: {why}",
         }
     ]  # fmt: skip
@@ -152,11 +152,12 @@ def test_a_trip_file_that_could_not_be_written_is_told_with_folder_and_reason(
 def test_a_trip_file_is_told_with_its_path(tmp_path: Path) -> None:
     async def write() -> None:
         files = TripFiles(tmp_path)
-        files.write("x", {}, ())
+        files.write("x", "stall", {}, ())
         await asyncio.sleep(0.1)
         assert not files._writing  # nothing is kept of what is done
 
     with structlog.testing.capture_logs() as logs:
         run(write())
     (file,) = tmp_path.iterdir()
-    assert logs == [{"event": "trip file", "log_level": "info", "room": "trip_files", "trip": "x", "path": str(file)}]
+    of_the_trip = {"axis": "x", "code": "stall", "path": str(file)}
+    assert logs == [{"event": "trip file", "log_level": "info", "room": "trip_files", **of_the_trip}]

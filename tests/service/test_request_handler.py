@@ -83,7 +83,7 @@ def test_what_is_carried_out_is_told_with_who_asked_for_what() -> None:
     assert of(logs, "request") == [
         {
             "event": "request", "log_level": "info", "room": "control_socket", "peer": "pid 1 uid 2 #3", "op": "move",
-            "position": 5.0,
+            "axis": "x", "position": 5.0,
         }
     ]  # fmt: skip
 
@@ -110,9 +110,10 @@ def test_what_is_refused_is_told_to_the_client_and_to_the_log() -> None:
     told, other = of(with_an_axis_that_holds(script), "refused")
     assert told == {
         "event": "refused", "log_level": "warning", "room": "control_socket", "peer": "pid 1 uid 2 #3", "op": "move",
-        "code": said["code"], "reason": said["message"],
+        "axis": "x", "code": said["code"], "reason": said["message"],
     }  # fmt: skip
     assert (other["op"], other["code"]) == ("status", "which_axis")
+    assert "axis" not in other  # an invented name is none of ours
 
 
 def test_of_one_who_has_gone_only_what_brings_to_rest_is_carried_out() -> None:
@@ -128,7 +129,7 @@ def test_of_one_who_has_gone_only_what_brings_to_rest_is_carried_out() -> None:
     assert of(with_an_axis_that_holds(script), "request dropped: its client has disconnected") == [
         {
             "event": "request dropped: its client has disconnected", "log_level": "warning", "room": "control_socket",
-            "peer": "pid 1 uid 2 #3", "op": "move",
+            "peer": "pid 1 uid 2 #3", "op": "move", "axis": "x",
         }
     ]  # fmt: skip
 

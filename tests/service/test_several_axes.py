@@ -512,3 +512,14 @@ def test_an_override_reaches_the_axis_that_it_names(two_on_one_bus: Path) -> Non
     assert machine.service.tick_ms == 5.0
     with pytest.raises(ConfigError, match="there is no axis z; the axes are x, y"):
         load_machine(two_on_one_bus, ["z:axis.cruise_velocity=7"])
+
+
+def test_an_override_of_an_axis_key_that_names_no_axis_is_told_how_to_name_one(two_on_one_bus: Path) -> None:
+    with pytest.raises(ConfigError) as refused:
+        load_machine(two_on_one_bus, ["simulation.load=20", "service.tick_ms=5", "bus=3", "y:axis.cruise_velocity=7"])
+    assert [str(problem) for problem in refused.value.problems] == [
+        f"--set {one}: that is a key of an axis: name the axis, --set x:{one} or --set y:{one}"
+        for one in ("simulation.load=20", "bus=3")
+    ]
+    with pytest.raises(ConfigError, match="axs: unknown key"):
+        load_machine(two_on_one_bus, ["axs.name=z"])

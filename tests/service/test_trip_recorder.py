@@ -24,13 +24,13 @@ class Files:
 
     def __init__(self) -> None:
         self.written: list[tuple[Any, ...]] = []
-        self.failed: list[tuple[str, BaseException, TripFile]] = []
+        self.failed: list[tuple[str, str, BaseException, TripFile]] = []
 
     def write(self, *arguments: Any) -> None:
         self.written.append(arguments)
 
-    def fail(self, name: str, error: BaseException, file: TripFile) -> None:
-        self.failed.append((name, error, file))
+    def fail(self, axis: str, code: str, error: BaseException, file: TripFile) -> None:
+        self.failed.append((axis, code, error, file))
 
 
 class Kept:
@@ -70,14 +70,14 @@ def test_a_recording_is_written_once_with_what_the_axis_was_and_the_names_of_its
     kept.tick()
     kept.tick()
     document = {"snapshot": {"a snapshot of": "x"}, "fields": FIELDS}
-    assert files.written == [("x-stall", document, ["records"], trip.file)]
+    assert files.written == [("x", "stall", document, ["records"], trip.file)]
     assert (files.failed, kept.kept) == ([], 1)
     kept.axis.trip = None
     kept.tick()
     again = kept.trip(TripCode.OVERSPEED)
     kept.tick()
-    assert files.written[1][0] == "x-overspeed"
-    assert files.written[1][3] is again.file
+    assert files.written[1][:2] == ("x", "overspeed")
+    assert files.written[1][4] is again.file
 
 
 def test_for_want_of_memory_the_file_of_this_trip_has_failed() -> None:
@@ -86,8 +86,8 @@ def test_for_want_of_memory_the_file_of_this_trip_has_failed() -> None:
     kept.keep = no_memory  # type: ignore[method-assign]
     trip = kept.trip()
     assert kept.tick() == []
-    ((name, error, file),) = files.failed
-    assert (name, type(error), file) == ("x-stall", MemoryError, trip.file)
+    ((axis, code, error, file),) = files.failed
+    assert (axis, code, type(error), file) == ("x", "stall", MemoryError, trip.file)
     assert files.written == []
 
 
@@ -95,7 +95,8 @@ def test_for_want_of_memory_without_files_the_log_says_so() -> None:
     kept = Kept(None)
     kept.keep = no_memory  # type: ignore[method-assign]
     kept.trip()
-    assert kept.tick() == [{"event": "no recording of the trip: out of memory", "log_level": "error", "axis": "x"}]
+    text = "no recording of the trip: out of memory"
+    assert kept.tick() == [{"event": text, "log_level": "error", "axis": "x", "code": "stall"}]
 
 
 def test_two_axes_that_trip_one_after_the_other_name_each_its_own_file(tmp_path: Path) -> None:
@@ -122,8 +123,8 @@ def test_two_axes_that_trip_one_after_the_other_name_each_its_own_file(tmp_path:
         trip = json.loads(file.read_text(encoding="utf-8"))["snapshot"]["trip"]
         assert (trip["cause"], trip["file"], trip["file_error"]) == (f"of {name}", str(file), None)
     written = [line for line in logs if line["event"] == "trip file"]
-    assert {(line["trip"], line["path"]) for line in written} == {
-        (f"{name}-overspeed", str(file)) for name, file in files.items()
+    assert {(line["axis"], line["code"], line["path"]) for line in written} == {
+        (name, "overspeed", str(file)) for name, file in files.items()
     }
     assert "Besides" not in lines[0]
 

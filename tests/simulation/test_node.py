@@ -131,6 +131,22 @@ def test_stop_ends_it_and_closes_its_link(profile: DriveProfile) -> None:
     assert run(main()) == ([("open", 0.001), ("close", 0.5004)], 0.5004)
 
 
+def test_several_drives_of_one_process_name_their_axes_in_the_log(
+    profile: DriveProfile, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def main() -> None:
+        bus = BusSettings(interface="virtual", channel=f"test {uuid.uuid4()}")
+        side = DbcDriveSide(profile)
+        drive = SimulatedDrive(SimulationSettings(), side, asyncio.get_running_loop().time())
+        node = DriveNode(drive, Link(bus, side.identifiers), 0.001, axis="y")
+        asyncio.get_running_loop().call_at(0.01, node.stop)
+        await node.run()
+
+    with caplog.at_level("INFO"):
+        run(main())
+    assert "simulated drive of axis y: on the bus" in caplog.messages
+
+
 def test_cancelling_it_closes_its_link(profile: DriveProfile) -> None:
     async def main() -> bool:
         bench = Bench(profile)

@@ -47,7 +47,7 @@ def test_what_is_written_last_stays_and_what_is_erased_last_is_gone(tmp_path: Pa
     assert logged(script()) == []
 
 
-def test_a_folder_that_cannot_be_written_is_told_once_until_it_can_be(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_told_once_for_each_axis_until_it_can_be(tmp_path: Path) -> None:
     obstacle = tmp_path / "state"
     obstacle.write_text("a file where the folder should be", "utf-8")
 
@@ -64,7 +64,12 @@ def test_a_folder_that_cannot_be_written_is_told_once_until_it_can_be(tmp_path: 
         assert files.read("x") == {}
         await files.close()
 
-    assert logged(script()) == [("warning", "what a law has learned cannot be written, and ends with the service")]
+    text = "what a law has learned cannot be written, and ends with the service"
+    with structlog.testing.capture_logs() as logs:
+        run(script())
+    assert [(line["log_level"], line["event"], line["axis"]) for line in logs] == [
+        ("warning", text, "x"), ("warning", text, "y"),
+    ]  # fmt: skip
 
 
 def test_what_cannot_be_erased_is_an_error_since_it_would_come_back(tmp_path: Path) -> None:

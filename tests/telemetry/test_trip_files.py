@@ -121,7 +121,7 @@ def test_numbers_that_are_not_finite_are_null_in_the_file(monkeypatch: pytest.Mo
 
 def test_records_that_are_not_finite_are_null(tmp_path: Path) -> None:
     async def write() -> None:
-        TripFiles(tmp_path).write("x", {"fields": ("a", "b", "c")}, ((1, math.nan, 2.5), (2, -math.inf, None)))
+        TripFiles(tmp_path).write("x", "stall", {"fields": ("a", "b", "c")}, ((1, math.nan, 2.5), (2, -math.inf, None)))
 
     run(write())
     document = json.loads(only_file(tmp_path).read_text(encoding="utf-8"))
@@ -141,7 +141,7 @@ def test_the_name_shows_only_when_the_file_is_whole_and_on_the_disk(
         fsync(descriptor)
 
     async def write() -> None:
-        TripFiles(tmp_path).write("x", {}, ((1,),))
+        TripFiles(tmp_path).write("x", "stall", {}, ((1,),))
 
     monkeypatch.setattr(os, "fsync", spy)
     run(write())
@@ -153,7 +153,7 @@ def test_an_axis_name_cannot_lead_out_of_the_folder(tmp_path: Path) -> None:
     folder = tmp_path / "trips"
 
     async def write() -> None:
-        TripFiles(folder).write("../../etc/x y:\n-stall", {}, ())
+        TripFiles(folder).write("../../etc/x y:\n", "stall", {}, ())
 
     run(write())
     assert only_file(tmp_path) == folder
@@ -203,10 +203,10 @@ def test_the_next_trip_is_written_when_the_disk_is_well_again(monkeypatch: pytes
         files = TripFiles(tmp_path)
         with monkeypatch.context() as patch:
             patch.setattr(os, "fsync", no_space)
-            files.write("first", {}, ())
+            files.write("first", "stall", {}, ())
             await asyncio.sleep(0.1)
         assert (files.latest, files.error is None) == (None, False)
-        files.write("second", {}, ())
+        files.write("second", "stall", {}, ())
         await asyncio.sleep(0.1)
         assert (files.latest, files.error) == (only_file(tmp_path), None)
 
@@ -223,7 +223,7 @@ def test_a_disk_that_hangs_is_not_waited_for(tmp_path: Path) -> None:
 
     async def write() -> None:
         files = TripFiles(tmp_path, hang)
-        files.write("x", {}, ())
+        files.write("x", "stall", {}, ())
         assert await asyncio.to_thread(hanging.wait, 60)
         assert files.latest is None  # this loop has gone on meanwhile
         let_go.set()
@@ -245,7 +245,7 @@ def test_only_so_many_files_are_kept_and_the_new_one_is_among_them(tmp_path: Pat
 
     async def write() -> Path | None:
         files = TripFiles(tmp_path)
-        files.write("x", {}, ())
+        files.write("x", "stall", {}, ())
         await asyncio.sleep(0.1)
         return files.latest
 
@@ -282,11 +282,11 @@ def test_where_they_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
 # Names that no clock decides ------------------------------------------------------------------------------------------
 
 
-def write_several(folder: Path, *names: str) -> None:
+def write_several(folder: Path, *axes: str) -> None:
     async def write() -> None:
         files = TripFiles(folder)
-        for name in names:
-            files.write(name, {"name": name}, ())
+        for axis in axes:
+            files.write(axis, "stale_feedback", {"name": axis}, ())
         assert files.error is None
 
     run(write())
@@ -300,7 +300,7 @@ def names_in(folder: Path) -> list[str]:
 def test_of_two_trips_of_one_moment_both_files_stay_although_the_clock_was_ahead(tmp_path: Path) -> None:
     for second in range(KEPT):
         (tmp_path / f"20990101T0000{second:02}Z-7-1-x-stall.json").write_text("{}", encoding="utf-8")
-    write_several(tmp_path, "x-stale_feedback", "y-stale_feedback", "z-stale_feedback")
+    write_several(tmp_path, "x", "y", "z")
     new = sorted(path.name.partition("Z-")[2] for path in tmp_path.iterdir() if path.name.startswith("0000"))
     assert new == ["x-stale_feedback.json", "y-stale_feedback.json", "z-stale_feedback.json"]
     assert len(list(tmp_path.iterdir())) == KEPT
@@ -408,7 +408,7 @@ def test_a_trip_needs_no_thread_that_is_not_there_yet(monkeypatch: pytest.Monkey
         files = TripFiles(tmp_path)
         files.start()
         monkeypatch.setattr(threading.Thread, "start", no_thread_left)
-        files.write("x-stall", {"name": "x"}, ())
+        files.write("x", "stall", {"name": "x"}, ())
         await asyncio.wait(files._writing)
         await asyncio.sleep(0)
         assert (files.error, files.latest) == (None, only_file(tmp_path))
@@ -423,7 +423,7 @@ def test_without_a_thread_the_service_goes_on_and_says_that_there_is_no_file(
     async def write() -> str | None:
         files = TripFiles(tmp_path)
         monkeypatch.setattr(threading.Thread, "start", no_thread_left)
-        files.write("x-stall", {}, ())
+        files.write("x", "stall", {}, ())
         return files.error
 
     error = asyncio.run(write())
@@ -466,7 +466,7 @@ def test_the_end_waits_until_the_file_is_written(tmp_path: Path) -> None:
 
     async def write() -> None:
         files = TripFiles(tmp_path, slow)
-        files.write("x-stall", {}, ())
+        files.write("x", "stall", {}, ())
         assert await asyncio.to_thread(begun.wait, 60)
         let_go.set()
         files.close()
@@ -485,7 +485,7 @@ def test_a_disk_that_hangs_keeps_no_service_from_ending(monkeypatch: pytest.Monk
 
     async def write() -> None:
         files = TripFiles(tmp_path, hang)
-        files.write("x-stall", {}, ())
+        files.write("x", "stall", {}, ())
         files.close()
         let_go.set()
 
@@ -495,7 +495,7 @@ def test_a_disk_that_hangs_keeps_no_service_from_ending(monkeypatch: pytest.Monk
 def test_each_axis_tells_of_its_own_file(tmp_path: Path) -> None:
     async def write() -> None:
         files = TripFiles(tmp_path)
-        one, another = files.write("x-stall", {"name": "x"}, ()), files.write("y-stall", {"name": "y"}, ())
+        one, another = files.write("x", "stall", {"name": "x"}, ()), files.write("y", "stall", {"name": "y"}, ())
         await asyncio.sleep(0.1)
         assert one.path is not None
         assert another.path is not None

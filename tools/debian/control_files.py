@@ -11,7 +11,7 @@ _MAINTAINER: Final = f"The maintainers of {NAME} <maintainers@{NAME}.invalid>"
 _MANYLINUX: Final = {"manylinux1": (2, 5), "manylinux2010": (2, 12), "manylinux2014": (2, 17)}
 """The oldest C library of the tags that do not say it."""
 _DESCRIPTION: Final = """\
- Closes a position loop over a CAN bus on a fixed 10 ms tick, without a speed
+ Closes a position loop over a CAN bus on a fixed tick, without a speed
  sensor: a Kalman filter estimates velocity and disturbance.
  .
  The package starts nothing by itself and enables no drive. It brings systemd's

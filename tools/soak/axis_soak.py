@@ -120,7 +120,7 @@ class AxisSoak:
             self.trips += axis.trip is not None
         is_homing = axis.state is State.HOMING
         if self._was_homing and not is_homing and axis.move is not None and axis.move.outcome is MoveOutcome.REACHED:
-            self.watch.placed()
+            self.watch.placed(drive.velocity)
         self._was_homing = is_homing
 
     def _something_happens(self) -> None:

@@ -250,11 +250,15 @@ class EncoderWatch:
         """Take notice that the encoder counts rightly again; where it is may still be wrong."""
         self.factor = 1.0
 
-    def placed(self) -> None:
-        """Take notice that the axis was told where it is, or has found it out."""
-        self._error_allowed = 0.0
+    def placed(self, speed: float) -> None:
+        """Take notice that the axis was told where it is, or has found it out, at a true velocity in axis unit/s.
+
+        It may have set out by itself, and the samples show that later: what it has gone since the last one is unknown.
+        """
+        moves = abs(speed) > self._axis.design.rest_velocity
+        self._error_allowed = abs(speed) * _SAMPLE_AGE_TICKS * self._axis.design.period_s if moves else 0.0
         if self.active:
-            self._error_allowed = abs(1.0 - self.factor) * self._bound
+            self._error_allowed += abs(1.0 - self.factor) * self._bound
 
     def moved_by_hand(self, before: float, after: float) -> None:
         """Take notice that somebody has moved the axis from a true place to another (axis unit), which is no travel."""

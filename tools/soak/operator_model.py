@@ -98,7 +98,7 @@ class OperatorModel:
 
     def _say_where(self) -> None:
         self._axis.set_position(self._drive.position)
-        self._watch.placed()
+        self._watch.placed(self._drive.velocity)
 
     # Armed -----------------------------------------------------------------------------------------------------------
 

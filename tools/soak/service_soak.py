@@ -129,7 +129,7 @@ class ServiceSoak:
             and world.axis.move is not None
             and world.axis.move.outcome is MoveOutcome.REACHED
         ):
-            self.watch.placed()
+            self.watch.placed(world.drive.velocity)
         self._was_homing = is_homing
         if world.axis.trip is not self._reported_trip:
             self._reported_trip = world.axis.trip
@@ -177,7 +177,7 @@ class ServiceSoak:
         axis = world.axis
         by_hand = axis.settings.homing.method == "set_here" or self.random.random() < 0.3
         if not axis.referenced and by_hand and self._ask(world, {"op": "home", "position": world.place()}, client):
-            self.watch.placed()
+            self.watch.placed(world.drive.velocity)
         self._ask(world, {"op": "arm"}, client)
 
     def _command(self, axis: "Axis") -> dict[str, object]:

@@ -234,12 +234,14 @@ def _simulated(
     drive = SimulatedDrive(settings, side, asyncio.get_running_loop().time())
     identifiers, cycle_s = side.identifiers, settings.cycle_ms / 1e3
     if wires is None:
-        return SimulatedAxis(axis_loop, drive, DriveNode(drive, Link(bus, identifiers), cycle_s))
+        return SimulatedAxis(axis_loop, drive, DriveNode(drive, Link(bus, identifiers), cycle_s, axis=axis_loop.name))
     name, wire = node_name(axis_loop.name), wires.wire(bus)
     link = Link(bus, identifiers, functools.partial(wire.attach, name))
     if not sparse:
-        return SimulatedAxis(axis_loop, drive, DriveNode(drive, link, cycle_s))
+        return SimulatedAxis(axis_loop, drive, DriveNode(drive, link, cycle_s, axis=axis_loop.name))
     at = wire.node(name)
-    node = DriveNode(drive, link, cycle_s, arrival_s=lambda: at.next_arrival_s - wires.wall_offset_s)
+    node = DriveNode(
+        drive, link, cycle_s, arrival_s=lambda: at.next_arrival_s - wires.wall_offset_s, axis=axis_loop.name
+    )
     at.listen(node.wake)
     return SimulatedAxis(axis_loop, drive, node)

@@ -32,18 +32,18 @@ class ReplaceableTripFiles:
         """Let something write them from now on."""
         self._files = files
 
-    def write(self, name: str, document: Document, records: Records, file: TripFile) -> None:
+    def write(self, axis: str, code: str, document: Document, records: Records, file: TripFile) -> None:
         """Begin to write a file, if there is something to write it with."""
         if self._files is not None:
-            self._files.write(name, document, records, file)
+            self._files.write(axis, code, document, records, file)
 
-    def fail(self, name: str, error: BaseException, file: TripFile) -> None:
+    def fail(self, axis: str, code: str, error: BaseException, file: TripFile) -> None:
         """Tell that a file could not be written."""
         if self._files is not None:
-            self._files.fail(name, error, file)
+            self._files.fail(axis, code, error, file)
         else:
             text = "no recording of the trip: out of memory"
-            structlog.get_logger().error(text, axis=name.rpartition("-")[0])
+            structlog.get_logger().error(text, axis=axis, code=code)
 
 
 class ServiceHarness:

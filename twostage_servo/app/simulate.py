@@ -50,7 +50,7 @@ async def _simulate(configs: Sequence[Config], sides: Sequence[DriveSide], signa
         for config, side in zip(configs, sides, strict=True)
     ]
     nodes = [
-        DriveNode(drive, Link(config.bus, side.identifiers), config.simulation.cycle_ms / 1e3)
+        DriveNode(drive, Link(config.bus, side.identifiers), config.simulation.cycle_ms / 1e3, axis=config.axis.name)
         for drive, config, side in zip(drives, configs, sides, strict=True)
     ]
 

@@ -159,6 +159,6 @@ class DrivenStep:
             self._latch.raise_trip(TripCode.HOMING_FAILED, str(failure))
             return
         if homing.done and homing.reference is not None:
-            self._origin.refer(homing.reference, self._design.settings.homing.position)
-            self._operation.end_move(MoveOutcome.REACHED)
+            distance = self._origin.refer(homing.reference, self._design.settings.homing.position)
+            self._operation.end_homing(distance)
             self._machine.apply(Event.REACHED)

@@ -62,7 +62,9 @@ class DriveTraits:
 
 
 class Feedback(NamedTuple):
-    """What a drive says of itself, in one frame or in several. None: the drive has no such signal.
+    """What a drive says of itself, all of it at once, whether it came in one frame or in several.
+
+    None means that the drive has no such signal at all.
 
     Attributes
     ----------
@@ -123,7 +125,8 @@ class Heartbeat(NamedTuple):
     Attributes
     ----------
     state
-        Number of the state that the drive is in, as its own documents count them.
+        Number of the state that the drive is in, as its own documents count them; ``DriveTraits.state_texts`` names
+        them. States with the names of CiA 402 are compared with the feedback.
     boot_counter
         Count of the drive's boots.
     """

@@ -18,7 +18,7 @@ class MoveKind(enum.StrEnum):
     JOG = "jog"
     """At a velocity, for as long as it is asked for."""
     HOME = "home"
-    """To find the place from which positions are counted."""
+    """To find the place from which positions are counted; or to declare that it is here, which moves nothing."""
 
 
 class MoveOutcome(enum.StrEnum):
@@ -67,6 +67,10 @@ class Move:
     def end(self, outcome: MoveOutcome, reason: str | None) -> None:
         """Tell what has become of it."""
         self.outcome, self.reason = outcome, reason
+
+    def shift_start(self, distance: float) -> None:
+        """Count where it began from an origin that lies `distance` (axis unit) lower, as its set-point does already."""
+        self.start += distance
 
     def _values(self) -> tuple[object, ...]:
         return (self.number, self.kind, self.target, self.velocity, self.start, self.outcome, self.reason)

@@ -161,6 +161,16 @@ class Operation:
         self._machine.apply(Event.HOME)
         self.announce(MoveKind.HOME, homing.position, homing.velocity)
 
+    def end_homing(self, distance: float) -> None:
+        """End the search with the reference found, from which positions now count: `distance` lower than before."""
+        if self.move is not None:
+            self.move.shift_start(distance)
+        self.end_move(MoveOutcome.REACHED)
+
+    def declare_homed(self, position: float) -> None:
+        """Keep as a homing what only says that the axis stands at a position, in axis unit."""
+        self.announce(MoveKind.HOME, position, 0.0).end(MoveOutcome.REACHED, None)
+
     def brake(self, deceleration: float, outcome: MoveOutcome, reason: str | None = None) -> None:
         """End the move, and bring the axis to rest with a deceleration in axis unit/s²."""
         self.end_move(outcome, reason)

@@ -34,11 +34,18 @@ class Origin:
         self._count = count
         self._reference = reference
 
-    def refer(self, found: float, position: float) -> None:
-        """Count positions so that the place `found` (axis unit, by the former origin) is `position`."""
+    def refer(self, found: float, position: float) -> float:
+        """Count positions so that the place `found` (axis unit, by the former origin) is `position`.
+
+        Returns
+        -------
+        float
+            How much larger positions are now, in axis unit.
+        """
         distance = position - found
         self._drive.shift(distance)
         self._disabled.motion.shift(distance)
         self._motion.shift(distance)
         self._count.shift(distance)
         self._reference.find()
+        return distance

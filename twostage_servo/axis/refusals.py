@@ -43,6 +43,7 @@ class RefusalCode(enum.StrEnum):
     # Of the service
     CONFIG = "config"
     NO_CONFIGURATION = "no_configuration"
+    RELOAD_FAILED = "reload_failed"
     ENDING = "ending"
     INTERNAL_ERROR = "internal_error"
 

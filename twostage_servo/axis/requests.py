@@ -109,13 +109,13 @@ class Requests:
     def disarm(self, reason: str | None = None) -> None:
         """Bring a moving axis to rest, then disable the drive; an axis at rest is disabled at once.
 
+        Never refused: one that is disabled, or is about to be after a trip, goes on as it was.
+
         Parameters
         ----------
         reason
             What the end of a move is explained by, where it is not the operator who has asked for it.
         """
-        if self._machine.state in LATCHED:  # disabled already, or about to be
-            return
         before = self._machine.state
         self._machine.apply(Event.DISARM)
         if (
@@ -242,6 +242,7 @@ class Requests:
         self._admission.check_place(position, velocity, self._rest_velocity)
         assert self._drive.position is not None  # noqa: S101 - just checked
         self._origin.refer(self._drive.position, position)
+        self._operation.declare_homed(position)
 
     def stop(self, reason: str | None = None, *, quick: bool = False) -> None:
         """Brake, with the acceleration limit or the quick stop deceleration, and hold where the axis comes to rest.

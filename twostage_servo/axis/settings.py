@@ -51,7 +51,7 @@ class ObserverSettings(Settings):
 
 
 class LimitSettings(Settings):
-    """What the axis must never exceed. Every limit is mandatory but `undetected_travel`, which only allows more."""
+    """What the axis must never exceed. All are mandatory, except `undetected_travel`: see its description."""
 
     renamed: ClassVar = {
         "innovation": "innovation_gate",

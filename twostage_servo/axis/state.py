@@ -1,6 +1,7 @@
 """The state machine of an axis in the terms of CiA 402: a pure table from state and event to the next state."""
 
 import enum
+from collections.abc import Iterable
 from types import MappingProxyType
 
 
@@ -59,6 +60,7 @@ class Event(enum.StrEnum):
 
 
 _S, _E = State, Event
+_TRIPS = (_E.TRIP_STOP, _E.TRIP_QUICK_STOP, _E.TRIP_DISABLE, _E.TRIP_WHILE_DISABLED)
 _SET_POINT = (_S.HOLDING, _S.SPEED_STAGE, _S.POSITION_STAGE)
 _COMMANDED = (_S.SPEED_STAGE, _S.POSITION_STAGE, _S.JOGGING, _S.HOMING)
 _OPERATING = (_S.HOLDING, *_COMMANDED, _S.STOPPING, _S.QUICK_STOPPING, _S.DISARMING)
@@ -84,6 +86,8 @@ TRANSITIONS: MappingProxyType[tuple[State, Event], State] = MappingProxyType(
         **{(state, _E.QUICK_STOP): _S.TRIPPED_QUICK_STOP for state in (_S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP)},
         **{(state, _E.DISARM): _S.DISARMED for state in (_S.DISARMED, _S.ARMING, _S.HOLDING)},
         **{(state, _E.DISARM): _S.DISARMING for state in (*_COMMANDED, _S.STOPPING, _S.QUICK_STOPPING, _S.DISARMING)},
+        # A tripped axis is off, or brakes to be: that is all that it is asked for, and what it does
+        **{(state, _E.DISARM): state for state in (_S.TRIPPED_STOPPING, _S.TRIPPED_QUICK_STOP, _S.TRIPPED)},
         (_S.TRIPPED, _E.RESET): _S.DISARMED,
         (_S.DISARMED, _E.RESET): _S.DISARMED,
         # What the motion comes to
@@ -157,12 +161,18 @@ def next_state(state: State, event: Event) -> State | None:
 
 
 def transition_table() -> str:
-    """Return the whole table as Markdown, a row a state and a column an event, as it stands in the docs."""
-    lines = [
-        "| state | CiA 402 | " + " | ".join(f"`{event}`" for event in Event) + " |",
-        "|---" * (len(Event) + 2) + "|",
-    ]
+    """Return the whole table as Markdown, a row a state: each event that it admits, and the state that follows."""
+    lines = ["| state | CiA 402 | event → next state | trip → next state |", "|---|---|---|---|"]
     for state in State:
-        cells = [f"`{after}`" if (after := next_state(state, event)) else "" for event in Event]
-        lines.append(f"| `{state}` | {CIA402[state]} | " + " | ".join(cells) + " |")
+        events = [event for event in Event if event not in _TRIPS]
+        lines.append(f"| `{state}` | {CIA402[state]} | {_ways(state, events)} | {_ways(state, _TRIPS)} |")
     return "\n".join(lines)
+
+
+def _ways(state: State, events: Iterable[Event]) -> str:
+    """Return a cell of the table: which of the events a state admits, those with the same next state in one line."""
+    ways: dict[State, list[str]] = {}
+    for event in events:
+        if (after := next_state(state, event)) is not None:
+            ways.setdefault(after, []).append(f"`{event}`")
+    return "<br>".join(f"{', '.join(names)} → `{after}`" for after, names in ways.items())

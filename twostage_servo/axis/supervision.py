@@ -255,14 +255,15 @@ class Supervision:
         limits, unit = self._settings.limits, self._settings.unit
         error = self._motion.following_error
         self._speed_of_move = max(self._speed_of_move, abs(self._motion.nominal.observer.velocity))
-        allowed = max(limits.following_error_minimum, limits.following_error_time_s * self._speed_of_move)
+        at_speed = limits.following_error_time_s * self._speed_of_move
+        allowed = max(limits.following_error_minimum, at_speed)
         if not abs(error) <= allowed:
+            by_speed = f" in a motion at up to {self._speed_of_move:.4g} {unit}/s" if allowed == at_speed else ""
             yield (
                 TripCode.FOLLOWING_ERROR,
                 (
                     f"the following error at {self._motion.law.observer.position:.6g} {unit} is {error:.4g} {unit}; "
-                    f"{allowed:.4g} {unit} is allowed in a move at "
-                    f"{self._speed_of_move:.4g} {unit}/s"
+                    f"{allowed:.4g} {unit} is allowed{by_speed}"
                 ),
             )
 

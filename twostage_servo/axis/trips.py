@@ -101,7 +101,8 @@ RULES: dict[TripCode, TripRule] = {
     TripCode.STALE_FEEDBACK: TripRule(
         _QUICK,
         "Check the drive's supply, its bus cable and its identifiers; if the cause mentions late frames, find the "
-        "node that floods the bus. Then `reset` and `arm`, and `home` if `status` says that the position is not known.",
+        "node that floods the bus; a simulated drive is a program, and late on a busy host. Then `reset` and `arm`, "
+        "and `home` if `status` says that the position is not known.",
         blind=True,
     ),
     TripCode.FEEDBACK_ERRORS: TripRule(
@@ -319,7 +320,7 @@ def trip_table() -> str:
     for code, rule in RULES.items():
         how = rule.reaction.name.lower().replace("_", " ")
         how += ", on the model alone" if rule.blind else ""
-        how += ", on the model alone and from its own speed" if rule.reckoned else ""
+        how += ", on the model alone, from the speed that it computes" if rule.reckoned else ""
         how += f"; the reference is lost: {rule.position_in_doubt}" if rule.unreferenced else ""
         how += "; also while disabled" if rule.while_disabled else ""
         lines.append(f"| `{code}` | {how} | {rule.next_action} |")

@@ -4,7 +4,15 @@ from typing import NamedTuple
 
 
 class Identifier(NamedTuple):
-    """A CAN identifier with its kind: 0x181 with 11 bits and 0x181 with 29 bits are different identifiers."""
+    """A CAN identifier with its kind: 0x181 with 11 bits and 0x181 with 29 bits are different identifiers.
+
+    Attributes
+    ----------
+    identifier
+        The number.
+    extended
+        Whether it has 29 bits.
+    """
 
     identifier: int
     extended: bool

@@ -9,10 +9,6 @@ from twostage_servo.cli.output import bar
 _ARMED = DRIVEN - LATCHED
 
 
-def _number(value: float | None, unit: str) -> str:
-    return f"unknown {unit}" if value is None else f"{value:.3f} {unit}"
-
-
 def lines_of(status: Status) -> str:
     """Return how each axis is, in a line or some."""
     return "\n".join(map(line_of, status.axes.values()))
@@ -21,7 +17,8 @@ def lines_of(status: Status) -> str:
 def line_of(report: AxisReport) -> str:
     """Return how one axis is: a line, and more for a trip and what lasts."""
     axis, move, trip = report.axis, report.move, report.trip
-    text = f"{axis.name}: {axis.state} at {_number(axis.position, axis.unit)}"
+    place = ", position unknown" if axis.position is None else f" at {axis.position:.3f} {axis.unit}"
+    text = f"{axis.name}: {axis.state}{place}"
     if axis.velocity is not None and axis.state is not State.HOLDING:
         text += f", {axis.velocity:.1f} {axis.unit}/s"
     if axis.override_percent != USUAL_OVERRIDE:

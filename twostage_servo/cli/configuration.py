@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twostage_servo.cli.output import CommandError, ExitCode, note
+from twostage_servo.cli.typed_names import file_path, utf8
 from twostage_servo.config.files import find_configuration
 
 if TYPE_CHECKING:
@@ -19,18 +20,20 @@ def add_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     """Declare --config, --set and --json."""
     parser.add_argument(
         "--config",
-        type=Path,
+        type=file_path,
         metavar="FILE",
         required=required,
         help="TOML file, or the name of a shipped one" + ("" if required else " (default: the embedded demo.toml)"),
     )
     parser.add_argument(
         "--set",
+        type=utf8,
         action="append",
         default=[],
         metavar="KEY=VALUE",
         dest="overrides",
-        help="override a configuration key by its dotted path, such as simulation.noise_std=0.03; may be repeated",
+        help="override a configuration key by its dotted path, such as simulation.noise_std=0.03; may be repeated; "
+        "AXIS:KEY=VALUE for one axis of several",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

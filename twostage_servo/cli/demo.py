@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+from twostage_servo.cli.typed_names import file_path
 from twostage_servo.cli.typed_numbers import decimal, whole
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
         "--moves", type=_moves, default=1, metavar="N", help="so many moves, to the set-point and back (default 1)"
     )
     demo.add_argument("--fast", action="store_true", help="run in simulated time")
-    demo.add_argument("--trace", type=Path, metavar="FILE", help="write every tick to a CSV file")
+    demo.add_argument("--trace", type=file_path, metavar="FILE", help="write every tick to a CSV file")
     demo.set_defaults(run=_demo)
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from twostage_servo.cli.configuration import add_options, configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+from twostage_servo.cli.typed_names import file_path
 from twostage_servo.cli.typed_numbers import whole
 from twostage_servo.config.files import find_configuration
 from twostage_servo.faults.phase import Phase
@@ -33,7 +34,7 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     faults.add_argument(
         "--seed", type=whole, default=1, metavar="N", help="seed of noise, sizes and times of the faults (default 1)"
     )
-    faults.add_argument("--html", type=Path, metavar="FILE", help="write the matrix as an HTML page")
+    faults.add_argument("--html", type=file_path, metavar="FILE", help="write the matrix as an HTML page")
     faults.add_argument("--simulated", action="store_true", help="omit the faults that need real processes")
     faults.set_defaults(run=_faults)
 

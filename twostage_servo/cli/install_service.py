@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from twostage_servo.cli.output import CommandError, ExitCode, print_json, print_line
+from twostage_servo.cli.typed_names import file_path
 from twostage_servo.cli.typed_numbers import whole
 
 _MARK: Final = "# Placed by `twostage-servo install-service`, which writes it anew; put changes into a drop-in.\n"
@@ -51,8 +52,8 @@ def add_verbs(verbs: "argparse._SubParsersAction[argparse.ArgumentParser]") -> N
     what.add_argument("--print", action="store_true", dest="show", help="print the files, and install none")
     what.add_argument("--uninstall", action="store_true", help="remove the installed files")
     parser.add_argument("--bit-rate", type=whole, default=500_000, metavar="BIT/S", help="bit rate (default 500000)")
-    parser.add_argument("--program", type=Path, help="path of twostage-servo (default: the running one)")
-    parser.add_argument("--root", type=Path, default=Path("/"), help="folder to install below (default /)")
+    parser.add_argument("--program", type=file_path, help="path of twostage-servo (default: the running one)")
+    parser.add_argument("--root", type=file_path, default=Path("/"), help="folder to install below (default /)")
     parser.add_argument("--vendor", action="store_true", help="for a package: below /usr/lib, which /etc overrides")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_run)

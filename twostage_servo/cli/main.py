@@ -2,17 +2,21 @@
 """``twostage-servo``: the verbs, and what is common to them."""
 
 import argparse
+import functools
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import TextIOWrapper
 from pathlib import Path
-from typing import IO, Final, TextIO
+from typing import IO, TYPE_CHECKING, Any, Final, NoReturn, TextIO, TypeAlias
 
 from twostage_servo.cli import operate
 from twostage_servo.cli.output import CommandError, ExitCode, note, print_json
 from twostage_servo.printable import printable
 from twostage_servo.version import __version__
+
+if TYPE_CHECKING:
+    _Verbs: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # noqa: SLF001 - it has no public name
 
 _EPILOG = """\
 exit codes: 0 done, 1 its output cannot be written, or a defect, 2 bad usage or configuration, 3 the axis tripped or
@@ -26,13 +30,23 @@ LONG_RUNNING: Final = ("run", "drive")
 
 
 class _Parser(argparse.ArgumentParser):
-    """Repeats what it was given, which may be anything, only in characters that a terminal shows."""
+    """Repeats what it was given, which may be anything, only in characters that a terminal shows; or in JSON."""
+
+    def __init__(self, *, as_json: bool = False, **settings: Any) -> None:
+        super().__init__(**settings)
+        self._as_json = as_json
+
+    def error(self, message: str) -> NoReturn:
+        if self._as_json:
+            _print_error("usage", message, {})
+            self.exit(ExitCode.USAGE)
+        super().error(message)
 
     def _print_message(self, message: str, file: "IO[str] | None" = None) -> None:  # type: ignore[override]
         super()._print_message(printable(message), file)
 
 
-def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
+def build_parser(verb: str | None = None, *, as_json: bool = False) -> argparse.ArgumentParser:
     """Return the parser of the whole command line.
 
     Parameters
@@ -40,15 +54,19 @@ def build_parser(verb: str | None = None) -> argparse.ArgumentParser:
     verb
         The one that is going to be parsed, if that is known. With one of the operator's, no other is declared. With
         one that runs for long, only those are: all of them take 10 ms of the service's start.
+    as_json
+        Whether to print one JSON object about bad usage, as about any other error.
     """
-    parser: argparse.ArgumentParser = _Parser(
+    parser = _Parser(
+        as_json=as_json,
         prog="twostage-servo",
         description="Two-stage servo control over CAN: the service, its simulated drive, and the commands to both.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"twostage-servo {__version__}")
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    of_a_verb: type[_Parser] = functools.partial(_Parser, as_json=as_json)  # type: ignore[assignment]  # argparse calls it
+    verbs: _Verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True, parser_class=of_a_verb)
     if verb in operate.VERBS:
         operate.add_verbs(verbs, verb)
         return parser
@@ -74,14 +92,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         argcomplete.autocomplete(build_parser())
     given = sys.argv[1:] if arguments is None else arguments
-    options = build_parser(given[0] if given else None).parse_args(given)
+    options = build_parser(given[0] if given else None, as_json=_asks_for_json(given)).parse_args(given)
     try:
         return int(options.run(options))
     except CommandError as error:
         if error.code == "output":
             _discard_output()
         elif options.json:
-            print_json({"ok": False, "error": {"code": error.code, "message": str(error), **error.details}})
+            _print_error(error.code, str(error), error.details)
             return error.exit_code
         note(f"twostage-servo {options.verb}: {error}")
         return error.exit_code
@@ -90,6 +108,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return ExitCode.DONE
     except KeyboardInterrupt:
         return 130
+
+
+def _asks_for_json(given: Sequence[str]) -> bool:
+    """Whether --json is among arguments that are not parsed yet; argparse takes its beginning for it as well."""
+    return any(len(one) > len("--") and "--json".startswith(one) for one in given)
+
+
+def _print_error(code: str, message: str, details: Mapping[str, Any]) -> None:
+    print_json({"ok": False, "error": {"code": code, "message": message, **details}})
 
 
 def _prepare_streams() -> None:

@@ -2,9 +2,9 @@
 
 import argparse
 import re
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
+from twostage_servo.cli.typed_names import file_path, utf8
 from twostage_servo.cli.typed_numbers import decimal, whole
 
 if TYPE_CHECKING:
@@ -25,7 +25,10 @@ def add_verbs(verbs: "_Verbs", only: str | None = None) -> None:
 def _add_status(verbs: "_Verbs") -> None:
     status = _verb(verbs, "status", "show the state of service and axis")
     status.add_argument(
-        "--recording", type=Path, metavar="FILE", help="write the last ticks, or those before the trip, to a CSV file"
+        "--recording",
+        type=file_path,
+        metavar="FILE",
+        help="write the last ticks, or those before the trip, as CSV",
     )
 
 
@@ -126,9 +129,10 @@ VERBS: "Final[Mapping[str, Callable[[_Verbs], None]]]" = {
 def _verb(verbs: "_Verbs", name: str, text: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = verbs.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
     if name not in {"release", "reload"}:
-        parser.add_argument("--axis", metavar="NAME", help="which axis, where the service has several")
-    parser.add_argument("--socket", type=Path, metavar="PATH", help="control socket of the service")
-    parser.add_argument("--config", type=Path, metavar="FILE", help="take the socket's path from this configuration")
+        parser.add_argument("--axis", type=utf8, metavar="NAME", help="which axis, where the service has several")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--socket", type=file_path, metavar="PATH", help="control socket of the service")
+    where.add_argument("--config", type=file_path, metavar="FILE", help="configuration that names the socket")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.set_defaults(run=_run)
     return parser
@@ -137,7 +141,7 @@ def _verb(verbs: "_Verbs", name: str, text: str) -> argparse.ArgumentParser:
 def _set_point(text: str) -> tuple[str | None, float]:
     name, equals, number = text.rpartition("=")
     try:
-        return (name if equals else None), decimal(number)
+        return (utf8(name) if equals else None), decimal(number)
     except argparse.ArgumentTypeError as error:
         raise argparse.ArgumentTypeError(f"{text}: {error}" if equals else str(error)) from error
 

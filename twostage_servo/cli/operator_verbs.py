@@ -51,6 +51,10 @@ def _command_error(error: ServoError, verb: str) -> CommandError:
     return CommandError(ExitCode.USAGE if is_bad_usage else ExitCode.FAILED, error.code, str(error))
 
 
+def _bad_usage(text: str) -> CommandError:
+    return CommandError(ExitCode.USAGE, "usage", text)
+
+
 @contextlib.contextmanager
 def _connected(options: argparse.Namespace) -> Iterator[ServoClient]:
     """Connect; leaving on purpose is not dying: what was asked for goes on, however the verb ends."""
@@ -98,9 +102,9 @@ def _write_csv(path: Path, recording: Recording) -> None:
 
 def _watch(options: argparse.Namespace) -> ExitCode:
     if not 1 <= options.every <= 10_000:
-        raise CommandError(ExitCode.USAGE, "usage", f"--every {options.every}: must be from 1 to 10000 ticks")
+        raise _bad_usage(f"--every {options.every}: must be from 1 to 10000 ticks")
     if options.count is not None and options.count < 1:
-        raise CommandError(ExitCode.USAGE, "usage", f"--count {options.count}: must be at least 1 line")
+        raise _bad_usage(f"--count {options.count}: must be at least 1 line")
     with _connected(options) as client, contextlib.closing(client.watch(options.every)) as snapshots:
         for status in itertools.islice(snapshots, options.count):
             if options.json:
@@ -136,7 +140,7 @@ def _stop(options: argparse.Namespace) -> ExitCode:
 
 def _jog(options: argparse.Namespace) -> ExitCode:
     if options.seconds is not None and not 0.0 <= options.seconds < 1e6:
-        raise CommandError(ExitCode.USAGE, "usage", f"--seconds {options.seconds}: must be from 0 to 1e6 s")
+        raise _bad_usage(f"--seconds {options.seconds}: must be from 0 to 1e6 s")
     progress = Progress(quiet=options.json)
     seconds = math.inf if options.seconds is None else options.seconds
     try:
@@ -213,12 +217,16 @@ def _wanted(options: argparse.Namespace) -> float | dict[str, float] | None:
     """Return the set-point that was asked for, or those of several axes by their names; None if it is relative."""
     positions: list[tuple[str | None, float]] = options.position
     names = [name for name, _ in positions]
-    if (len(names) == 0) == (options.by is None) or len(set(names)) < len(names) or (None in names and len(names) > 1):
-        text = "give one position, or NAME=POSITION for each of several axes, or --by DISTANCE"
-        raise CommandError(ExitCode.USAGE, "usage", text)
+    if (len(names) == 0) == (options.by is None) or (None in names and len(names) > 1):
+        raise _bad_usage("give one position, or NAME=POSITION for each of several axes, or --by DISTANCE")
+    if twice := next((name for number, name in enumerate(names) if name in names[:number]), None):
+        raise _bad_usage(f"{twice} is given twice: give one set-point for each axis")
     if names == [None]:
         return positions[0][1]
-    return {name: position for name, position in positions if name is not None} or None
+    wanted = {name: position for name, position in positions if name is not None}
+    if wanted and options.axis is not None:
+        raise _bad_usage(f"the set-points name their axes ({', '.join(wanted)}): leave --axis {options.axis} out")
+    return wanted or None
 
 
 def _followed(

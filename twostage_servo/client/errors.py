@@ -14,7 +14,7 @@ class ServoError(Exception):
 
         ServoError
         ├── Refused        the service refuses a request; `code` says why
-        ├── Tripped        the axis has tripped; `trip` says why, `status` has its present state
+        ├── Tripped        an axis has tripped; `axis` and `trip` say which and why, `status` how all are now
         ├── Interrupted    a motion has ended early: stopped, or replaced by another one
         ├── TimedOut       a motion has not ended within its time limit; it continues
         ├── Unreachable    no service answers, or its socket cannot be trusted
@@ -42,18 +42,22 @@ class Refused(ServoError):  # noqa: N818 - it tells what has happened
 
 
 class Tripped(ServoError):  # noqa: N818 - it tells what has happened
-    """The axis has tripped; it stays so until `reset`.
+    """An axis has tripped; it stays so until `reset`.
 
     Parameters
     ----------
+    axis
+        Its name.
     trip
         What happened, and what to do next.
     status
-        How service and axis are now.
+        How the service is now, and each axis that was asked for.
     """
 
-    def __init__(self, trip: TripStatus, status: Status) -> None:
-        super().__init__(trip.code, f"trip {trip.code}: {trip.cause} {trip.next_action}")
+    def __init__(self, axis: str, trip: TripStatus, status: Status) -> None:
+        of_several = f"axis {axis}: " if len(status.axes) > 1 else ""
+        super().__init__(trip.code, f"{of_several}trip {trip.code}: {trip.cause} {trip.next_action}")
+        self.axis = axis
         self.trip = trip
         self.status = status
 

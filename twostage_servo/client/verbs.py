@@ -1,7 +1,7 @@
 """What each verb asks the service for, and what it waits for, step by step: how an axis is operated."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Final, TypeVar
 
 from twostage_servo.api.fields import JsonObject
@@ -80,7 +80,7 @@ class Verbs:
         status = yield from self.status()
         if condition(status):
             return status
-        later: Status = yield Until(WatchRequest(axis=self._axis, every=1), condition)
+        later: Status = yield Until(_made(WatchRequest, axis=self._axis, every=1), condition)
         return later
 
     def watch(self, every: int) -> WatchRequest:
@@ -89,30 +89,30 @@ class Verbs:
 
     def status(self) -> Verb[Status]:
         """Look."""
-        return (yield from self._asked(StatusRequest(axis=self._axis)))
+        return (yield from self._asked(_made(StatusRequest, axis=self._axis)))
 
     def recording(self) -> Verb[Recording]:
         """Fetch the last ticks, or those before the trip."""
-        answer = yield from asked(RecordingRequest(axis=self._axis), self._timeout_s, self._clock)
+        answer = yield from asked(_made(RecordingRequest, axis=self._axis), self._timeout_s, self._clock)
         return Recording.from_json(answer)
 
     def arm(self) -> Verb[Status]:
         """Arm, and wait until the axis holds."""
-        yield from self._asked(ArmRequest(axis=self._axis))
+        yield from self._asked(_made(ArmRequest, axis=self._axis))
         status = yield from self._until(_none_in(_ARMING))
-        for report in status.axes.values():
+        for report in _tripped_first(status.axes.values()):
             if report.axis.state is not State.HOLDING:
                 raise _ended(report, status, f"{report.axis.name} is {report.axis.state}, and does not hold")
         return status
 
     def disarm(self) -> Verb[Status]:
         """Disarm, and wait until the drive is off."""
-        yield from self._asked(DisarmRequest(axis=self._axis))
+        yield from self._asked(_made(DisarmRequest, axis=self._axis))
         return (yield from self.settled())
 
     def stop(self, *, quick: bool = False, wait: bool = False) -> Verb[Status]:
         """Stop, and wait until the axis is at rest, or not."""
-        begun = yield from self._asked(StopRequest(axis=self._axis, quick=quick))
+        begun = yield from self._asked(_made(StopRequest, axis=self._axis, quick=quick))
         return (yield from self.settled()) if wait else begun
 
     def settled(self) -> Verb[Status]:
@@ -121,12 +121,12 @@ class Verbs:
 
     def reset(self) -> Verb[Status]:
         """Clear a trip, and wait until the drive is seen to be off."""
-        yield from self._asked(ResetRequest(axis=self._axis))
+        yield from self._asked(_made(ResetRequest, axis=self._axis))
         return (yield from self._until(_none_in(frozenset())))
 
     def forget(self) -> Verb[Status]:
         """Let the law forget what it has learned of its plant."""
-        return (yield from self._asked(ForgetRequest(axis=self._axis)))
+        return (yield from self._asked(_made(ForgetRequest, axis=self._axis)))
 
     def acquire(self, *, preempt: bool) -> Verb[Status]:
         """Acquire control authority."""
@@ -152,10 +152,8 @@ class Verbs:
         progress: Progress | None,
     ) -> Verb[Status]:
         """Move to a set-point, or to one for each of several axes."""
-        if isinstance(position, Mapping):
-            request = _made(MoveRequest, positions=dict(position), velocity=velocity)
-        else:
-            request = _made(MoveRequest, axis=self._axis, position=position, velocity=velocity)
+        fields = {"positions": dict(position)} if isinstance(position, Mapping) else {"position": position}
+        request = _made(MoveRequest, axis=self._axis, velocity=velocity, **fields)
         return (yield from self._moved(request, wait, timeout_s, progress))
 
     def move_by(
@@ -210,8 +208,8 @@ class Verbs:
                 raise TimedOut(f"the motion has not ended within {timeout_s:g} s; the axis continues", status)
             return False
 
-        status: Status = yield Until(WatchRequest(axis=self._axis, every=_PROGRESS_TICKS), is_over)
-        for report in (status.axes[name] for name in names):
+        status: Status = yield Until(_made(WatchRequest, axis=self._axis, every=_PROGRESS_TICKS), is_over)
+        for report in _tripped_first(status.axes[name] for name in names):
             if report.move is not None and report.move.outcome is not MoveOutcome.REACHED:
                 raise _ended(report, status)
         return status
@@ -240,7 +238,7 @@ class Verbs:
         status = yield from self.status()
         if status.axis.state is State.JOGGING and is_jogging(status, number):
             try:
-                status = yield from self._asked(JogRequest(axis=self._axis, velocity=velocity))
+                status = yield from self._asked(_made(JogRequest, axis=self._axis, velocity=velocity))
             except Refused as error:
                 if error.code is not RefusalCode.STOPPED:  # by somebody else, as the next status shows
                     raise
@@ -275,6 +273,11 @@ def _outcome_of(report: AxisReport) -> MoveOutcome | None:
     return None if report.move is None else report.move.outcome
 
 
+def _tripped_first(reports: Iterable[AxisReport]) -> list[AxisReport]:
+    """Return the same, those first that have tripped: by them the others were stopped."""
+    return sorted(reports, key=lambda report: report.trip is None)
+
+
 def _none_in(states: frozenset[State]) -> Callable[[Status], bool]:
     """Return whether no axis is in one of these states, and no drive still has to report that it is off."""
     return lambda status: (
@@ -285,7 +288,7 @@ def _none_in(states: frozenset[State]) -> Callable[[Status], bool]:
 def _ended(report: AxisReport, status: Status, text: str = "") -> ServoError:
     """Return why a motion has ended before its time."""
     if report.trip is not None:
-        return Tripped(report.trip, status)
+        return Tripped(report.axis.name, report.trip, status)
     outcome = MoveOutcome.STOPPED if text else _outcome_of(report) or MoveOutcome.STOPPED
     why = f": {report.move.reason}" if report.move is not None and report.move.reason else ""
     return Interrupted(outcome, text or f"the motion of {report.axis.name} was {outcome} before its end{why}", status)

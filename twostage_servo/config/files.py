@@ -13,6 +13,19 @@ def find_configuration(path: Path | None) -> Path | None:
 
 def shipped_configuration(name: str) -> Path:
     """Return where a file that came with this package is, whatever lies in the working directory."""
+    return _shipped_folder() / name
+
+
+def similar_configurations(path: Path) -> list[str]:
+    """Return names of configurations that may have been meant by one that does not exist, the likeliest first."""
+    import difflib  # noqa: PLC0415 - as above
+
+    beside = [*path.parent.glob("*.toml"), *(_shipped_folder().glob("*.toml") if path.parent == Path() else ())]
+    names = {one.stem: one.name for one in beside}
+    return [str(path.with_name(names[stem])) for stem in difflib.get_close_matches(path.stem, names, cutoff=0.7)]
+
+
+def _shipped_folder() -> Path:
     import importlib.resources  # noqa: PLC0415 - the operator's commands start without it
 
-    return Path(str(importlib.resources.files("twostage_servo_config"))) / name
+    return Path(str(importlib.resources.files("twostage_servo_config")))

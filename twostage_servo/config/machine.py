@@ -4,7 +4,7 @@ A machine's file lists the configurations of its axes, each of which is complete
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -21,6 +21,7 @@ from twostage_servo.settings.base import Settings
 FaultReaction = Literal["continue", "stop", "quick_stop", "disarm"]
 """What the other axes of a machine do when one trips."""
 
+_MOST_CHOICES = 3
 _FOR_AN_AXIS = re.compile(r"(\w[\w.-]*):(.*)", re.DOTALL)
 
 
@@ -136,7 +137,9 @@ def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
     if "machine" not in file.data:
         return Machine.of(validated(Config, file, overrides))
     for_axes = [found.groups() for override in overrides if (found := _FOR_AN_AXIS.match(override))]
-    machine = validated(MachineConfig, file, [one for one in overrides if not _FOR_AN_AXIS.match(one)])
+    for_none = [one for one in overrides if not _FOR_AN_AXIS.match(one) and _is_of_an_axis(one)]
+    for_all = [one for one in overrides if not _FOR_AN_AXIS.match(one) and one not in for_none]
+    machine = validated(MachineConfig, file, for_all)
     settings = machine.config.machine
     problems: list[Problem] = []
     axes: list[LoadedConfig[Config]] = []
@@ -154,10 +157,25 @@ def load_machine(path: Path | None, overrides: Sequence[str] = ()) -> Machine:
         for name, text in for_axes
         if name not in names and not problems
     ]
+    problems += [
+        Problem(f"--set {text}", None, "", None, f"that is a key of an axis: name the axis, {_choices(text, names)}")
+        for text in for_none
+    ]
     if problems:
         raise ConfigError(problems)
     config = machine.config
     return Machine(machine.source, config.service, config.realtime, settings.fault_reaction, tuple(axes), machine)
+
+
+def _is_of_an_axis(override: str) -> bool:
+    """Whether an argument is of a table that the files of the axes have, and that of the machine has not."""
+    table = re.split(r"[.=]", override, maxsplit=1)[0].strip()
+    return table in Config.model_fields and table not in MachineConfig.model_fields
+
+
+def _choices(override: str, names: Collection[str]) -> str:
+    shown = [f"--set {name}:{override}" for name in sorted(names)[:_MOST_CHOICES]]
+    return " or ".join(shown) or "as in --set AXIS:KEY=VALUE"
 
 
 def _load_axis(path: Path, for_axes: Sequence[tuple[str, ...]]) -> LoadedConfig[Config]:

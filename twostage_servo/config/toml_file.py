@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from twostage_servo.config.errors import ConfigError, Problem
-from twostage_servo.config.files import shipped_configuration
+from twostage_servo.config.files import shipped_configuration, similar_configurations
 from twostage_servo.settings.toml_text import key_text
 
 if TYPE_CHECKING:
@@ -106,7 +106,10 @@ def _read(path: Path) -> str:
         with path.open("rb") as file:
             content = file.read(LARGEST_FILE_BYTES + 1)
     except FileNotFoundError:
-        _refuse(str(path), "there is no such file; check the name, and the current folder if the name is relative")
+        advice = "check the name, and the current folder if the name is relative"
+        if similar := similar_configurations(path):
+            advice = f"did you mean {' or '.join(similar)}?"
+        _refuse(str(path), f"there is no such file; {advice}")
     except IsADirectoryError:
         inside = ", ".join(sorted(entry.name for entry in path.glob("*.toml"))[:8])
         _refuse(str(path), f"this is a folder; name a TOML file in it{f': {inside}' if inside else ''}")

@@ -16,7 +16,7 @@ Report: TypeAlias = Feedback | Heartbeat | IndexMark | ForeignCommand
 """What a decoded frame can report."""
 
 Decoder: TypeAlias = Callable[[ReceivedFrame], Report | None]
-"""Decodes a frame; returns None if it does not concern the axis.
+"""Decodes a frame; returns None if it does not concern the axis, or if a later frame completes the report.
 
 Raises :class:`~twostage_servo.drives.frame.FrameRejected` and nothing else, whatever the frame.
 """
@@ -31,7 +31,7 @@ class Drive(Protocol):
 
     @property
     def feedback_id(self) -> Identifier:
-        """Identifier of the frame with the position."""
+        """Identifier of the frame with the position; a rejected one counts as a feedback error of the axis."""
 
     @property
     def command_id(self) -> Identifier:
@@ -109,4 +109,9 @@ class DriveSide(Protocol):
         """Make the frames that report the index mark."""
 
     def heartbeat(self, heartbeat: Heartbeat, /) -> Sequence[SentFrame]:
-        """Make the frames of a heartbeat, whose state is numbered as in the shipped DBC."""
+        """Make the frames of a heartbeat.
+
+        Its state is numbered as in the shipped DBC: 0 not ready to switch on, 1 ready to switch on, 2 switched on,
+        3 operation enabled, 4 fault, 5 fault reaction active, 6 quick stop active, 7 switch on disabled. The simulated
+        drive is in 1, 3, 4 or 7. Translate them if your drive has other numbers.
+        """

@@ -35,7 +35,15 @@ class ReceivedFrame(Protocol):
 
 
 class SentFrame(NamedTuple):
-    """A frame to be sent."""
+    """A frame to be sent.
+
+    Attributes
+    ----------
+    identifier
+        With 11 or 29 bits.
+    data
+        The data bytes.
+    """
 
     identifier: Identifier
     data: bytes
@@ -44,11 +52,25 @@ class SentFrame(NamedTuple):
 class FrameRejected(Exception):  # noqa: N818 - not an error of the program: a finding about a frame
     """A frame that must not be used. Its text shows the frame in hexadecimal.
 
+    The service counts it by its reason. One with the identifier of the feedback counts as a feedback error as well.
+
+    Parameters
+    ----------
+    reason
+        In one word; see the attribute.
+    message
+        The frame.
+    detail
+        What is wrong with it, for the log.
+
     Attributes
     ----------
     reason : str
-        ``"error_frame"``, ``"remote"``, ``"fd"``, ``"extended"``, ``"identifier"``, ``"length"``, ``"checksum"``,
-        ``"reserved_value"`` or ``"not_finite"``; a kind of drive may have others.
+        What ``rejected_by_reason`` in the status counts it as. A drive by its DBC has ``"error_frame"``; ``"remote"``;
+        ``"fd"`` (a classic frame where CAN FD is expected, or the reverse); ``"extended"`` (11 bits of identifier where
+        29 are expected, or the reverse); ``"identifier"`` (of another message); ``"length"``; ``"checksum"``;
+        ``"reserved_value"`` (a value outside the signal's limits, or a state without a name); ``"too_large"`` (a
+        position beyond 1e9 axis units); ``"not_finite"``. Another type of drive may have words of its own.
     """
 
     def __init__(self, reason: str, message: ReceivedFrame, detail: str) -> None:
@@ -69,6 +91,8 @@ class FrameRejected(Exception):  # noqa: N818 - not an error of the program: a f
 
 class PositionRejected(FrameRejected):
     """A feedback whose position must not be used, though the frame is whole: a drive without encoder still has a state.
+
+    A decoder raises it instead of :class:`FrameRejected`, so that the axis hears of a fault all the same.
 
     Attributes
     ----------

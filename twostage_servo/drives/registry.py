@@ -16,7 +16,7 @@ from typing import Any, Final, Generic, TypeVar
 from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.drives.drive import Drive, DriveSide
 from twostage_servo.plug_ins import PlugIns
-from twostage_servo.settings.base import Settings
+from twostage_servo.settings.base import Settings, check_importable
 
 GROUP: Final = "twostage_servo.drives"
 DBC: Final = "dbc"
@@ -33,10 +33,12 @@ class DriveType(Generic[SettingsT, DriveT]):
     Attributes
     ----------
     settings
-        The class of the table ``[protocol]``, a :class:`~twostage_servo.drives.settings.DriveSettings`.
+        The class of the table ``[protocol]``, a :class:`~twostage_servo.drives.settings.DriveSettings` at the top level
+        of its module.
     build
-        ``build(settings, folder of the configuration, unit of the axis, whether the frames are CAN FD ones)`` makes a
-        drive; it raises :class:`~twostage_servo.drives.protocol_error.ProtocolError` for what does not fit.
+        ``build(settings, folder, unit, fd)`` makes a drive. `folder` is that of the configuration, `unit` that of the
+        axis, and `fd` says whether the frames are CAN FD ones. It raises
+        :class:`~twostage_servo.drives.protocol_error.ProtocolError` for what does not fit.
     side
         Builds the drive's end of it, for the simulated drive.
     check_unchanged
@@ -48,6 +50,10 @@ class DriveType(Generic[SettingsT, DriveT]):
     build: Callable[[SettingsT, Path, str, bool], DriveT]
     side: Callable[[DriveT], DriveSide]
     check_unchanged: Callable[[SettingsT, Path, DriveTraits], None] = lambda *_: None
+
+    def __post_init__(self) -> None:
+        """Check what a package has put together."""
+        check_importable(self.settings)
 
 
 DRIVES: Final[PlugIns[DriveType[Any, Any]]] = PlugIns(

@@ -12,7 +12,18 @@ SettingsClass: TypeAlias = type[Settings]
 
 
 class DriveSettings(Settings):
-    """What the settings of all types of drives have in common. A type adds its own keys to them."""
+    """The table ``[protocol]``: derive the settings of your type from it, and add its keys.
+
+    ::
+
+        class NodeSettings(DriveSettings):
+            node: int = quantity(unit="1", description="Number of the drive's node", ge=1, le=127)
+
+    Attributes
+    ----------
+    type
+        Name of the type, by which the entry point is found.
+    """
 
     type: str = Field(DBC, description="Type of the drive: dbc, or one that an installed package provides")
 

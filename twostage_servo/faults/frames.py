@@ -17,7 +17,11 @@ def compile_profile(loaded: LoadedConfig[Config]) -> DriveProfile:
         If the DBC does not hold what the configuration names, or the drive is of another type.
     """
     if not isinstance(loaded.config.protocol, ProtocolSettings):
-        raise loaded.problem(("protocol", "type"), 'the fault campaign knows the frames of drives of type "dbc" alone')
+        raise loaded.problem(
+            ("protocol", "type"),
+            'the fault campaign knows the frames of drives of type "dbc" alone; to see what each fault costs under '
+            "these limits, run it on a copy of this file without [protocol]",
+        )
     return profile_of(build_drive(loaded))
 
 

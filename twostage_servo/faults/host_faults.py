@@ -89,7 +89,7 @@ def full_disk(world: World, _: Random) -> None:
 
     files = TripFiles(Path(tempfile.gettempdir()) / "nowhere", no_space)
     world.loop.trip_files.use(files)
-    _for_ticks(world, 20, lambda: files.write("full", {}, world.axis_loop.recorder.records()))
+    _for_ticks(world, 20, lambda: files.write("x", "full", {}, world.axis_loop.recorder.records()))
 
 
 def blocked_log(world: World, _: Random) -> None:

@@ -187,9 +187,9 @@ def _cell_on_page(cell: Cell | None, unit: str) -> JsonObject | None:
 
 
 def _columns(cells: Sequence[Cell]) -> list[str]:
-    """Return the phases of a move, and those of other motion as far as there are cells of them."""
+    """Return the phases of which there are cells, in their order."""
     there = {cell.phase for cell in cells}
-    return [*(phase.value for phase in ALL), *(phase.value for phase in (*SEARCHING, *BRAKED) if phase.value in there)]
+    return [phase.value for phase in (*ALL, *SEARCHING, *BRAKED) if phase.value in there]
 
 
 def _short(cell: Cell | None) -> str:

@@ -107,25 +107,28 @@ class _Threaded(TripFiles):
 
     def __init__(self, folder: Path, writer: Callable[[Path, str, Document, Records], Path]) -> None:
         super().__init__(folder, writer)
-        self._handed_over: list[concurrent.futures.Future[Path]] = []
+        self._handed_over: list[tuple[str, str, concurrent.futures.Future[Path]]] = []
 
-    def write(self, name: str, document: Document, records: Records, file: TripFile | None = None) -> TripFile:
+    def write(
+        self, axis: str, code: str, document: Document, records: Records, file: TripFile | None = None
+    ) -> TripFile:
         """Hand a file over to the thread; :meth:`wait` tells what came of it."""
         file = TripFile() if file is None else file
         try:
-            self._handed_over.append(self._thread.submit(self._write_file, self.folder, name, document, records))
+            future = self._thread.submit(self._write_file, self.folder, f"{axis}-{code}", document, records)
+            self._handed_over.append((axis, code, future))
         except RuntimeError as error:
-            self.fail(name, error, file)
+            self.fail(axis, code, error, file)
         return file
 
     def wait(self) -> None:
         """Wait, in real time, until all are written."""
-        for future in self._handed_over:
+        for axis, code, future in self._handed_over:
             self.latest = None
             try:
                 self.latest = future.result(_PATIENCE_S)
             except (OSError, MemoryError) as error:
-                self.fail("", error, TripFile())
+                self.fail(axis, code, error, TripFile())
 
 
 @contextlib.contextmanager

@@ -30,6 +30,7 @@ class EventLog:
         self._source: ReferenceSource | None = None
         self._lost_because: str | None = None
         self._stale = True
+        self._was_fresh = False
 
     def publish(self, tick: Tick) -> None:
         """Report what has changed since the last tick."""
@@ -41,7 +42,12 @@ class EventLog:
         self._report_reference(tick)
         if axis.drive.is_stale is not self._stale:
             self._stale = axis.drive.is_stale
-            self._log.warning("feedback stale" if self._stale else "feedback fresh", tick=tick.index)
+            if self._stale:
+                self._log.warning("feedback stale", tick=tick.index)
+            else:  # whoever reads warnings alone is to see that one has passed; the first is what every start brings
+                tell = self._log.warning if self._was_fresh else self._log.info
+                tell("feedback fresh", tick=tick.index)
+                self._was_fresh = True
 
     def _report_reference(self, tick: Tick) -> None:
         reference = self._axis_loop.axis.reference
@@ -55,7 +61,7 @@ class EventLog:
                 tick=tick.index,
             )
         elif reference.source is ReferenceSource.HOMED:
-            self._log.warning("the position is known", tick=tick.index)
+            self._log.info("the position is known", tick=tick.index)
         elif begins:
             self._log.info("the position is not known: home the axis", tick=tick.index, reason=reference.lost_because)
         else:

@@ -1,12 +1,13 @@
 """The log: structlog events as lines, written by a thread, so that a stuck pipe or journal never delays a tick."""
 
+import enum
 import logging
 import math
 import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass
 from typing import Any, Final, TextIO
 
@@ -219,8 +220,17 @@ def _for_eyes(logger: Any, method: str, event: MutableMapping[str, Any]) -> str:
 
 def _shown(key: str, value: Any) -> Any:
     if not isinstance(value, str):
-        return value  # its repr has escapes
+        return _without_enumerations(value)  # its repr has escapes
     return printable(value) if key == "exception" else printable_line(value)
+
+
+def _without_enumerations(value: Any) -> Any:
+    """Return what stands in a field with the values of enumerations, whose repr says more than a reader wants."""
+    if isinstance(value, Mapping):
+        return {_without_enumerations(key): _without_enumerations(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)(map(_without_enumerations, value))
+    return value.value if isinstance(value, enum.Enum) else value
 
 
 def _as_json(logger: Any, method: str, event: MutableMapping[str, Any]) -> str:

@@ -82,7 +82,7 @@ class Receiver:
             report = decode(message)
         except FrameRejected as rejection:
             link.counters.count_rejection(rejection.reason)
-            self._log.debug("frame rejected", reason=rejection.reason, text=rejection)
+            self._log.debug("frame rejected", axis=axis.settings.name, reason=rejection.reason, text=rejection)
             if isinstance(rejection, PositionRejected):
                 axis.accept_feedback(rejection.feedback, self._reception(message, link))
             elif message.arbitration_id == self._feedback_number:

@@ -102,7 +102,8 @@ class RequestHandler:
     def answer(self, request: Request, asker: Asker) -> Reply:
         """Carry out a request, and return its answer; one that was dropped has none."""
         if not isinstance(request, READING) and not isinstance(request, _NEVER_TOO_LATE) and asker.gone:
-            self._log.warning("request dropped: its client has disconnected", peer=asker.peer, op=request.op)
+            event = "request dropped: its client has disconnected"
+            self._log.warning(event, peer=asker.peer, op=request.op, **self._axis_of(request))
             return Reply(iter(()), done=False)
         try:
             addressed = self._addressed(request) if isinstance(request, READING) else self._accept(request, asker)
@@ -189,12 +190,20 @@ class RequestHandler:
         """Return the axes that a request is for; here, and only here, its axis' name is looked up."""
         return self._commands.addressed(request.axis if isinstance(request, AxisRequest) else None)
 
+    def _axis_of(self, request: Request) -> dict[str, str]:
+        """Return the field by which the log names the axis of a request; none where that is not one of ours alone."""
+        names = [axis_loop.name for axis_loop in self._axis_loops]
+        name = names[0] if len(names) == 1 else None
+        if isinstance(request, AxisRequest) and (request.axis or name) in names:
+            return {"axis": request.axis or names[0]}
+        return {}
+
     def _accept(self, request: Request, asker: Asker) -> Sequence[AxisLoop]:
         """Carry out a request that has come in time; return the axes that it was for."""
         if not (isinstance(request, ReloadRequest) and self._reload.is_prepared(asker.peer)):
             self._check_age(request, asker)
         if not isinstance(request, JogRequest):  # a jog is asked for several times a second
-            self._log.info("request", peer=asker.peer, **request.to_json())
+            self._log.info("request", peer=asker.peer, **(self._axis_of(request) | request.to_json()))
         if request.renamed_to:
             self._log.warning("the old name of an operation", peer=asker.peer, op=request.op, use=request.renamed_to)
         before = self._commands.changed_by_stop()
@@ -280,7 +289,8 @@ class RequestHandler:
         return self.status.line(axis_loop, _OK)
 
     def _refusal(self, request: Request, asker: Asker, error: Refused) -> Reply:
-        self._log.warning("refused", peer=asker.peer, op=request.op, code=error.code, reason=str(error))
+        told = {"op": request.op, "code": error.code, "reason": str(error)} | self._axis_of(request)
+        self._log.warning("refused", peer=asker.peer, **told)
         return Reply(iter((answers.failure(error.code, str(error)),)), done=False)
 
     def _defect(self, error: Exception) -> Refused:

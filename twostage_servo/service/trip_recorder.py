@@ -19,11 +19,13 @@ if TYPE_CHECKING:
 class TripWriter(Protocol):
     """Writes trip files, and tells what becomes of each; never waits."""
 
-    def write(self, name: str, document: JsonObject, records: "Sequence[Sequence[Any]]", file: "TripFile") -> object:
-        """Begin to write a file."""
+    def write(
+        self, axis: str, code: str, document: JsonObject, records: "Sequence[Sequence[Any]]", file: "TripFile"
+    ) -> object:
+        """Begin to write the file of an axis that has tripped."""
 
-    def fail(self, name: str, error: BaseException, file: "TripFile") -> None:
-        """Tell that a file could not be written, and why."""
+    def fail(self, axis: str, code: str, error: BaseException, file: "TripFile") -> None:
+        """Tell that it could not be written, and why."""
 
 
 class TripRecorder:
@@ -59,14 +61,14 @@ class TripRecorder:
 
     def _keep(self, trip: "Trip") -> None:
         """Keep the last ticks; for want of memory without them, since the axis has to go on."""
-        name = f"{self._axis_loop.name}-{trip.code}"
+        name = self._axis_loop.name
         try:
             records = self._axis_loop.recorder.keep()
             if self._files is not None:
-                self._files.write(name, self._document(), records, trip.file)
+                self._files.write(name, trip.code, self._document(), records, trip.file)
         except MemoryError as error:
             if self._files is not None:
-                self._files.fail(name, error, trip.file)
+                self._files.fail(name, trip.code, error, trip.file)
             else:
                 text = "no recording of the trip: out of memory"
-                structlog.get_logger().error(text, axis=self._axis_loop.name)
+                structlog.get_logger().error(text, axis=name, code=trip.code)

@@ -1,6 +1,8 @@
 """What all settings have in common: unknown keys are refused, and each number has a unit, bounds and a line of text."""
 
+import sys
 from collections.abc import Mapping
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -57,3 +59,23 @@ def quantity(default: Any = ..., *, unit: str, description: str, **bounds: Any) 
         A pydantic field whose JSON schema carries the unit.
     """
     return Field(default, description=description, json_schema_extra={"unit": unit}, **bounds)
+
+
+def check_importable(settings: type[Settings]) -> None:
+    """Check that another process finds a settings class by its name: settings are sent to one.
+
+    Raises
+    ------
+    TypeError
+        If it does not.
+    """
+    module = sys.modules.get(settings.__module__)
+    try:
+        found = attrgetter(settings.__qualname__)(module)
+    except AttributeError:
+        found = None
+    if found is not settings:
+        raise TypeError(
+            f"settings class {settings.__qualname__} of {settings.__module__} cannot be imported by its name, as "
+            "another process has to: define it at the top level of its module"
+        )

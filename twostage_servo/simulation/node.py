@@ -32,6 +32,8 @@ class DriveNode:
     arrival_s : callable, optional
         Gives the time (s) at which the next frame arrives, or infinity. With it, cycles in which nothing is due are
         left out, which is most of them; :meth:`wake` then has to be called for each frame that is sent.
+    axis : str
+        Name of its axis, for the log: several drives may run in one process.
     """
 
     def __init__(
@@ -42,7 +44,9 @@ class DriveNode:
         observer: Callable[[float, SimulatedDrive], None] | None = None,
         *,
         arrival_s: Callable[[], float] | None = None,
+        axis: str = "",
     ) -> None:
+        self._name = f"simulated drive of axis {axis}" if axis else "simulated drive"
         self._drive = drive
         self._link = link
         self._observer = observer
@@ -98,7 +102,8 @@ class DriveNode:
         if drive.counters.command_timeouts != self._timeouts_reported:
             self._timeouts_reported = drive.counters.command_timeouts
             _log.warning(
-                "simulated drive: no command in time, disabled at %.3f, coasting at %.1f per second",
+                "%s: no command in time, disabled at %.3f, coasting at %.1f per second",
+                self._name,
                 drive.position,
                 drive.velocity,
             )
@@ -116,11 +121,11 @@ class DriveNode:
             self._lose(error, loop.time())
         else:
             self._error_reported = None
-            _log.info("simulated drive: on the bus")
+            _log.info("%s: on the bus", self._name)
 
     def _lose(self, error: LinkError, now_s: float) -> None:
         self._link.close()
         self._reopen_at_s = now_s + self._reopen_s
         if str(error) != self._error_reported:
             self._error_reported = str(error)
-            _log.warning("simulated drive: %s Trying again every %g s", error, self._reopen_s)
+            _log.warning("%s: %s Trying again every %g s", self._name, error, self._reopen_s)

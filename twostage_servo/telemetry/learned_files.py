@@ -40,7 +40,7 @@ class LearnedFiles:
         # A thread of its own: a disk that hangs must not keep a trip file waiting, if it is another one.
         self._thread = WorkerThread("learned_files")
         self._pending: set[asyncio.Future[None]] = set()
-        self._fails = False
+        self._failing: set[str] = set()  # axes whose last file could not be written
         self._log = structlog.get_logger().bind(room="learned_files")
 
     def start(self) -> None:
@@ -85,12 +85,14 @@ class LearnedFiles:
 
     def write(self, axis: str, document: JsonObject) -> None:
         """Begin to write the file of an axis; never waits, and never raises."""
-        self._begin(functools.partial(self._write_file, self.path(axis), document), self._written)
+        self._begin(
+            functools.partial(self._write_file, self.path(axis), document), functools.partial(self._written, axis)
+        )
 
     def erase(self, axis: str) -> None:
         """Begin to erase the file of an axis; never waits, and never raises."""
         path = self.path(axis)
-        self._begin(functools.partial(erase_state, path), functools.partial(self._erased, path))
+        self._begin(functools.partial(erase_state, path), functools.partial(self._erased, axis, path))
 
     async def close(self) -> None:
         """Let what was begun end, and the thread with it; a disk that hangs is not waited for."""
@@ -112,16 +114,19 @@ class LearnedFiles:
         if not future.cancelled():
             ended(future.exception())
 
-    def _written(self, error: BaseException | None) -> None:
-        if error is not None and not self._fails:
+    def _written(self, axis: str, error: BaseException | None) -> None:
+        if error is None:
+            self._failing.discard(axis)
+        elif axis not in self._failing:
+            self._failing.add(axis)
             text = "what a law has learned cannot be written, and ends with the service"
-            self._log.warning(text, folder=str(self.folder), error=_reason(error), key="axis.law.memory")
-        self._fails = error is not None
+            told = {"folder": str(self.folder), "error": _reason(error), "key": "axis.law.memory"}
+            self._log.warning(text, axis=axis, **told)
 
-    def _erased(self, path: Path, error: BaseException | None) -> None:
+    def _erased(self, axis: str, path: Path, error: BaseException | None) -> None:
         if error is not None:
             text = "what a law has learned cannot be erased: remove the file before the service starts again"
-            self._log.error(text, path=str(path), error=_reason(error))
+            self._log.error(text, axis=axis, path=str(path), error=_reason(error))
 
 
 def _reason(error: BaseException) -> str:

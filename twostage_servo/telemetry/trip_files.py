@@ -85,13 +85,15 @@ class TripFiles:
         """
         self._thread.start()
 
-    def write(self, name: str, document: Document, records: Records, file: TripFile | None = None) -> TripFile:
+    def write(
+        self, axis: str, code: str, document: Document, records: Records, file: TripFile | None = None
+    ) -> TripFile:
         """Begin to write a file; never waits, and never raises.
 
         Parameters
         ----------
-        name
-            Axis and code, which go into the file's name.
+        axis, code
+            Which axis has tripped, and how: both go into the file's name.
         document, records
             What to write.
         file
@@ -105,36 +107,36 @@ class TripFiles:
         file = TripFile() if file is None else file
         try:
             future = asyncio.get_running_loop().run_in_executor(
-                self._thread, self._write_file, self.folder, _plain(name), document, records
+                self._thread, self._write_file, self.folder, _plain(f"{axis}-{code}"), document, records
             )
             self._writing.add(future)
-            future.add_done_callback(lambda done: self._written(name, done, file))
+            future.add_done_callback(lambda done: self._written(axis, code, done, file))
         except (RuntimeError, MemoryError) as error:
-            self.fail(name, error, file)
+            self.fail(axis, code, error, file)
         return file
 
-    def fail(self, name: str, error: BaseException, file: TripFile) -> None:
+    def fail(self, axis: str, code: str, error: BaseException, file: TripFile) -> None:
         """Tell that a file could not be written, and why."""
         why = str(error) or ("out of memory" if isinstance(error, MemoryError) else type(error).__name__)
         self.error = f"no trip file can be written in {self.folder}: {why}"
         file.fail(self.error)
-        self._log.error("no trip file", trip=name, error=self.error)
+        self._log.error("no trip file", axis=axis, code=code, error=self.error)
 
     def close(self) -> None:
         """Let what is being written be written, and end the thread; a disk that hangs is not waited for."""
         if not self._thread.end(_LONGEST_END_S):
             self._log.error("a trip file is not written: its disk does not respond", folder=str(self.folder))
 
-    def _written(self, name: str, future: "asyncio.Future[Path]", file: TripFile) -> None:
+    def _written(self, axis: str, code: str, future: "asyncio.Future[Path]", file: TripFile) -> None:
         self._writing.discard(future)
         if future.cancelled():
             return
         if error := future.exception():
-            self.fail(name, error, file)
+            self.fail(axis, code, error, file)
         else:
             self.latest, self.error = future.result(), None
             file.complete(str(self.latest))
-            self._log.info("trip file", trip=name, path=file.path)
+            self._log.info("trip file", axis=axis, code=code, path=file.path)
 
 
 def _plain(name: str) -> str:

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from twostage_servo.control.laws.law import ControlTask, LawDesign
 from twostage_servo.plug_ins import PlugIns
-from twostage_servo.settings.base import Settings
+from twostage_servo.settings.base import Settings, check_importable
 
 GROUP: Final = "twostage_servo.laws"
 PAPER: Final = "paper"
@@ -29,7 +29,7 @@ class LawType:
     Attributes
     ----------
     settings
-        Its keys; each has a default.
+        Its keys; each has a default. A class at the top level of its module.
     design
         Makes a design of such settings for a task. It raises :class:`~twostage_servo.control.laws.law.DesignError`
         where there is none.
@@ -37,6 +37,10 @@ class LawType:
 
     settings: type[Settings]
     design: Callable[[Any, ControlTask], LawDesign]
+
+    def __post_init__(self) -> None:
+        """Check what a package has put together."""
+        check_importable(self.settings)
 
 
 LAWS: Final = PlugIns(

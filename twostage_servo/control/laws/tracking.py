@@ -20,7 +20,11 @@ from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
 
 Feedback = Callable[[float, float], float]
-"""From the errors of position and speed (axis unit, axis unit/s; reference minus estimate) to effort (effort unit)."""
+"""``feedback(position_error, speed_error)`` returns what is added to the effort that follows the reference.
+
+The errors are reference minus estimate, in axis unit and axis unit/s: positive where position or speed has to rise. The
+result is in effort unit. To reduce an error it needs the sign of the error times ``task.plant.gain``.
+"""
 
 
 class TrackingLaw:
@@ -167,13 +171,17 @@ class TrackingDesign(StopsByRamp):
     task
         What it is designed for.
     feedback
-        Makes an effort of what the axis is off.
+        See :data:`Feedback`.
     time_constant_s
-        How long that takes to bring an error down to 1/e, in s.
+        Slowest time constant of the loop with this feedback, in s: 1/b if its slowest pole is at -b. The effort does
+        not depend on it. Times the speed it is the change-over distance that ``check`` shows; a move counts as reached
+        only when the designed speed times this is within the position window; and it is a part of the duration of a
+        move, from which the velocities of a synchronised move follow.
     named_gains
-        The gains of the feedback, to be shown.
+        The gains of the feedback by their names, which ``design`` shows.
     what_from
-        What they follow from, in a few words.
+        What the gains follow from, in a few words, such as ``"bandwidth 6/s"``: ``design`` shows it behind them in
+        parentheses. Empty where there is nothing to say.
 
     Raises
     ------
