@@ -24,6 +24,7 @@ from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import RULES, TripCode
 from twostage_servo.config.loader import load
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.plant import Plant
 
 IN_DOUBT = {code for code in TripCode if RULES[code].unreferenced}
@@ -506,3 +507,21 @@ def test_where_it_could_lie_for_ever_no_distance_can_be_stated() -> None:
     with pytest.raises(DesignError, match=r"after any distance.* 5 mm .*innovation_gate below 1\.25, the") as caught:
         check_detection(design)
     assert caught.value.key == ("axis", "limits", "position_overrun")
+
+
+@pytest.mark.parametrize(("velocity", "most"), [(100.0, 7.8), (200.0, 19.5)])
+def test_what_a_reversed_encoder_makes_the_observer_hold_is_no_load(velocity: float, most: float) -> None:
+    """A stop by the model cancelled it, as if it stayed when the axis rests: 8.4 and 21 mm."""
+    settings = axis_settings(innovation_gate=10.0)
+    rig = AxisRig(Axis(design_axis(settings, PERIOD_S), TRAITS)).cruising(200.0, velocity, 0.0)
+    while rig.axis.law.stage is not Stage.POSITION:
+        rig.tick()
+    at = rig.position
+    rig.sees = lambda position: 2.0 * at - position
+    farthest = 0.0
+    for _ in range(150):
+        rig.tick()
+        farthest = max(farthest, abs(rig.position - at))
+    assert rig.axis.trip is not None
+    assert rig.axis.trip.code is TripCode.SIGN_REVERSED
+    assert farthest < most

@@ -342,7 +342,8 @@ class Motion:
     def _record_load(self) -> None:
         observer, stage = self.law.observer, self.law.stage
         if stage is Stage.POSITION:
-            self._load.update(observer)
+            if self.model_monitor.is_sure:  # what a wrong encoder makes the observer hold is no load
+                self._load.update(observer)
         elif self._stands and stage is Stage.BRAKE and not self.blind:
             # It stands by friction, or its encoder has frozen. What seems to hold it then must not be compensated: the
             # axis would creep on behind an encoder that shows nothing.
