@@ -114,3 +114,18 @@ def test_an_unstable_stage_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("twostage_servo.control.laws.adaptive.design.poles_of", lambda *_: [0.5, 1.5j])
     with pytest.raises(DesignError, match=r"the speed stage would be unstable: .* a pole of magnitude 1\.5000, with"):
         design_adaptive(task(), 0.0, learns=True)
+
+
+@pytest.mark.parametrize("velocity", [20.0, 100.0, 200.0])
+def test_the_change_over_is_where_a_known_plant_begins_to_brake(velocity: float) -> None:
+    """In whole ticks, so up to one earlier."""
+    made = task()
+    rig = Rig(made).ticks(30)
+    rig.move(200.0, 100.0, 300).move(0.0, 100.0, 300)
+    rig.law.set_target(4.0 * velocity, velocity)
+    changeovers = rig.law.changeovers
+    while rig.law.changeovers == changeovers:
+        left = 4.0 * velocity - rig.law.control_estimate.position
+        rig.ticks(1)
+    tick, found = velocity * PERIOD_S, design(made).changeover_distance(velocity)
+    assert found - tick <= left - tick <= found + tick

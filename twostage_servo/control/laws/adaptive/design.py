@@ -80,11 +80,14 @@ class AdaptiveDesign(StopsByRamp):
         return self._braking_way(velocity) / velocity
 
     def changeover_distance(self, velocity: float) -> float:
-        """Return how far before the set-point a cruise at a velocity (axis unit/s) ends, in axis unit."""
-        return self._braking_way(velocity) if velocity > 0.0 else 0.0
+        """Return how far before the set-point the tick begins that ends a cruise (axis unit/s), in axis unit.
+
+        On a plant that is known; a first move brakes more gently.
+        """
+        return self._braking_way(velocity) + velocity * self.task.period_s if velocity > 0.0 else 0.0
 
     def _braking_way(self, velocity: float) -> float:
-        """Return the same of a velocity greater than 0, for a plant that is known."""
+        """Return what the reference goes from there on, at a velocity greater than 0, without that tick."""
         task, deceleration = self.task, self.deceleration
         ways = self._model(self._poles).ways
         gain, step = abs(task.plant.gain), task.effort_rate_limit * task.period_s
