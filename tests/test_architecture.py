@@ -42,6 +42,20 @@ def test_each_of_ten_changes_names_a_place() -> None:
         assert then, change
 
 
+def test_the_row_of_a_trip_names_each_place_where_one_is_detected() -> None:
+    (row,) = [cells[2] for cells in rows("Where a change belongs") if cells[0] == "a trip"]
+    detects = re.compile(r"(raise_trip\(|\byield|\bTrip\()[\s(]*TripCode\.")
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for room in ("axis", "service")
+        for path in (ROOT / "twostage_servo" / room).glob("*.py")
+        if detects.search(path.read_text("utf-8"))
+    }
+    assert len(found) > 8
+    defects = {"twostage_servo/service/shutdown.py"}  # where this program's own become a trip
+    assert {path for path in found if f"`{path}`" not in row} == defects
+
+
 def test_an_arrow_that_follows_from_others_is_left_out() -> None:
     shown = draw.arrows(draw.rooms())
     assert ("config", "service") in shown
