@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import Field
 
 from tests.axis.rig import DEMO, PERIOD_S, TRAITS, AxisRig
 from tests.laws_of_others import cascade, forget_laws, install
+from twostage_servo.app.assembly import design
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.settings import AxisSettings
@@ -18,6 +20,7 @@ from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.loader import load
 from twostage_servo.control.laws import registry
 from twostage_servo.control.laws.adaptive.adaptive_type import ADAPTIVE
+from twostage_servo.control.laws.paper_design import design_paper
 from twostage_servo.control.laws.paper_type import PAPER
 from twostage_servo.control.laws.registry import LawType
 from twostage_servo.control.laws.tracking import TrackingDesign
@@ -131,6 +134,17 @@ def test_a_package_that_is_broken_is_told(
     told = refused("axis.law.type=broken")
     assert f"the law 'broken' {why}" in told
     forget_laws()
+
+
+class WithList(Settings):
+    bandwidths: list[float] = Field([6.0], description="Poles")
+
+
+def test_a_key_of_a_law_may_be_a_list(monkeypatch: pytest.MonkeyPatch) -> None:
+    law = LawType(WithList, lambda settings, task: design_paper(1e-5 * settings.bandwidths[0], task))
+    monkeypatch.setitem(registry.LAWS._loaded, "listed", law)
+    loaded = load(None, ["axis.law.type=listed", "axis.law.listed.bandwidths=[3.0]"])
+    assert design(loaded).law.origin() == "Q/R 3e-05"
 
 
 def test_settings_that_another_process_could_not_import_are_told_before_a_reload_needs_them() -> None:

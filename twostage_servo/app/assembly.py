@@ -9,6 +9,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
 from twostage_servo.axis.detection import check_detection
 from twostage_servo.axis.messages import DriveTraits
+from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.canbus.bus_load import CyclicFrame
 from twostage_servo.config.loader import Config, LoadedConfig
 from twostage_servo.config.machine import Machine
@@ -32,10 +33,20 @@ def design(loaded: LoadedConfig[Config], tick_s: float | None = None) -> AxisDes
         If no law can be designed from the settings.
     """
     config = loaded.config
+    make = _designed if _is_hashable(config.axis) else design_axis
     try:
-        return _designed(config.axis, config.service.tick_ms / 1e3 if tick_s is None else tick_s)
+        return make(config.axis, config.service.tick_ms / 1e3 if tick_s is None else tick_s)
     except DesignError as error:
         raise loaded.problem(error.key, str(error)) from error
+
+
+def _is_hashable(settings: AxisSettings) -> bool:
+    """Whether settings can be kept to be found again: those of another package's law may have a list."""
+    try:
+        hash(settings)
+    except TypeError:
+        return False
+    return True
 
 
 def build_drive(loaded: LoadedConfig[Config]) -> Drive:
