@@ -235,6 +235,24 @@ def test_of_a_move_of_several_axes_that_one_refuses_none_is_begun() -> None:
     assert service.refusal(op="move", positions={"x": 1.0, "z": 1.0})[0] == "which_axis"
 
 
+@pytest.mark.parametrize(
+    ("asked", "axis"),
+    [
+        ({"op": "move", "positions": {"y": 1.0}}, "y"),
+        ({"op": "move", "positions": {"x": 1.0, "y": 1.0}}, None),
+        ({"op": "move", "positions": {"z": 1.0}}, None),
+        ({"op": "arm", "axis": "x"}, "x"),
+        ({"op": "arm", "axis": "z"}, None),
+        ({"op": "arm"}, None),
+        ({"op": "acquire"}, None),
+    ],
+)
+def test_the_log_names_the_axis_of_a_request_that_is_for_one_of_several_alone(
+    asked: dict[str, Any], axis: str | None
+) -> None:
+    assert Service().requests._axis_of(read_request(asked)).get("axis") == axis
+
+
 # Who commands --------------------------------------------------------------------------------------------------------
 
 

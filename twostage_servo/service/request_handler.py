@@ -192,11 +192,12 @@ class RequestHandler:
 
     def _axis_of(self, request: Request) -> dict[str, str]:
         """Return the field by which the log names the axis of a request; none where that is not one of ours alone."""
-        names = [axis_loop.name for axis_loop in self._axis_loops]
-        name = names[0] if len(names) == 1 else None
-        if isinstance(request, AxisRequest) and (request.axis or name) in names:
-            return {"axis": request.axis or names[0]}
-        return {}
+        if not isinstance(request, AxisRequest):
+            return {}
+        ours = [axis_loop.name for axis_loop in self._axis_loops]
+        together = request.positions if isinstance(request, MoveRequest) else None
+        named = [request.axis] if request.axis else list(together or ours)
+        return {"axis": named[0]} if len(named) == 1 and named[0] in ours else {}
 
     def _accept(self, request: Request, asker: Asker) -> Sequence[AxisLoop]:
         """Carry out a request that has come in time; return the axes that it was for."""
