@@ -14,6 +14,7 @@ from twostage_servo.service.authority import Authority
 from twostage_servo.service.reload import Change, Reload
 from twostage_servo.service.request_age import RequestAge
 from twostage_servo.service.request_handler import HolderLost, RequestHandler
+from twostage_servo.telemetry.learned_files import LearnedFile
 from twostage_servo.timing.virtual_clock import run as run_alone
 
 
@@ -68,7 +69,8 @@ class Service:
 
     def _axis_loop(self, name: str, axis: WrittenDown) -> Any:
         recorder = SimpleNamespace(records=lambda: [f"of {name}"], discard=lambda: self.discarded.append(name))
-        return SimpleNamespace(name=name, axis=axis, bus=SimpleNamespace(error=None), recorder=recorder)
+        file, bus = LearnedFile(), SimpleNamespace(error=None)
+        return SimpleNamespace(name=name, axis=axis, bus=bus, recorder=recorder, learned_file=file)
 
     @staticmethod
     def _snapshot(axis_loops: Sequence[Any]) -> dict[str, Any]:
