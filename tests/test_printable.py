@@ -138,7 +138,7 @@ def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -
         ),
         bus=BusStatus(channel=text, open=False, error=text, drive_state=None, controller=text, error_counters=None),
         law=LawStatus(
-            type=text, accepted=False,
+            type=text, accepted=False, file_error=text,
             identified=IdentifiedStatus(
                 gain=1.0, pole=1.0, delay_ticks=1, load=LoadStatus(forward=1.0, backward=None), moves=1
             ),

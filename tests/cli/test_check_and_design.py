@@ -128,21 +128,21 @@ def test_every_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_design_of_both_examples(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "--json"]) == 0
+    assert main(["design", "--json", "--uncertainty", "0"]) == 0
     first = json.loads(capsys.readouterr().out)
     assert (
         f"{first['gains']['f11']:.2e} {first['gains']['f12']:.2e} {first['gains']['f22']:.1e}"
         == "3.78e-01 2.32e-02 6.9e-03"
     )
     assert first["changeover_distance"] == pytest.approx(54.53, abs=0.005)
-    assert main(["design", "--json", "--config", "example2.toml"]) == 0
+    assert main(["design", "--json", "--config", "example2.toml", "--uncertainty", "0"]) == 0
     second = json.loads(capsys.readouterr().out)
     assert second["changeover_distance"] == pytest.approx(21.56, abs=0.005)
     assert set(second["stages"]) == {"speed", "position", "brake"}
 
 
 def test_the_design_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "--velocity", "200"]) == 0
+    assert main(["design", "--velocity", "200", "--uncertainty", "0"]) == 0
     out = capsys.readouterr().out
     assert "f11 0.3775" in out
     assert "109.1 mm before the set-point at 200 mm/s" in out
@@ -198,7 +198,7 @@ def test_check_says_how_long_a_service_manager_has_to_wait(
 def test_the_loops_are_drawn_by_the_files_ending(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, begins: bytes
 ) -> None:
-    assert main(["design", "--plot", str(tmp_path / name), "--json"]) == 0
+    assert main(["design", "--uncertainty", "5", "--distance", "20", "--plot", str(tmp_path / name), "--json"]) == 0
     captured = capsys.readouterr()
     assert json.loads(captured.out)["stages"]["position"]["gain_margin"] == pytest.approx(11.92, abs=0.01)
     assert f"plot written to {tmp_path / name}" in captured.err
@@ -210,7 +210,7 @@ def test_a_plot_of_an_unknown_kind_or_in_no_folder_is_refused(
 ) -> None:
     assert main(["design", "--plot", str(tmp_path / "loops.pdf")]) == 2
     assert "must end in .png or .svg" in capsys.readouterr().err
-    assert main(["design", "--plot", str(tmp_path / "none" / "loops.png")]) == 3
+    assert main(["design", "--uncertainty", "0", "--plot", str(tmp_path / "none" / "loops.png")]) == 3
     assert "the plot cannot be written" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
@@ -275,11 +275,11 @@ def test_check_tells_what_the_configured_and_the_fastest_move_come_to(capsys: py
 def test_a_limit_that_the_configured_move_breaks_is_a_problem_with_the_value_that_would_do(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    tight = ["--set", "axis.limits.following_error_minimum=0.001", "--set", "axis.limits.following_error_time_s=1e-5"]
+    tight = ["--set", "axis.limits.velocity=100.5", "--set", "axis.limits.overspeed=101"]
     assert main(["check", "--json", *tight]) == 2
     (problem,) = json.loads(capsys.readouterr().out)["error"]["problems"]
-    assert problem["key"] == "axis.limits.following_error_minimum"
-    assert "trips (following_error) even if the plant is as axis.plant says: 0.0011 would do" in problem["message"]
+    assert problem["key"] == "axis.limits.overspeed"
+    assert "trips (overspeed) even if the plant is as axis.plant says: 106.1 would do" in problem["message"]
 
 
 def test_a_limit_that_the_fastest_move_breaks_is_a_note(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,6 +14,7 @@ from twostage_servo.service.authority import Authority
 from twostage_servo.service.reload import Change, Reload
 from twostage_servo.service.request_age import RequestAge
 from twostage_servo.service.request_handler import HolderLost, RequestHandler
+from twostage_servo.telemetry.learned_files import LearnedFile
 from twostage_servo.timing.virtual_clock import run as run_alone
 
 
@@ -68,7 +69,8 @@ class Service:
 
     def _axis_loop(self, name: str, axis: WrittenDown) -> Any:
         recorder = SimpleNamespace(records=lambda: [f"of {name}"], discard=lambda: self.discarded.append(name))
-        return SimpleNamespace(name=name, axis=axis, bus=SimpleNamespace(error=None), recorder=recorder)
+        file, bus = LearnedFile(), SimpleNamespace(error=None)
+        return SimpleNamespace(name=name, axis=axis, bus=bus, recorder=recorder, learned_file=file)
 
     @staticmethod
     def _snapshot(axis_loops: Sequence[Any]) -> dict[str, Any]:
@@ -233,6 +235,24 @@ def test_of_a_move_of_several_axes_that_one_refuses_none_is_begun() -> None:
     assert service.refusal(op="move", positions={"x": 1.0, "y": 1.0})[0] == "busy"
     assert service.told() == {"x": [("check_move", 1.0, 100.0)]}
     assert service.refusal(op="move", positions={"x": 1.0, "z": 1.0})[0] == "which_axis"
+
+
+@pytest.mark.parametrize(
+    ("asked", "axis"),
+    [
+        ({"op": "move", "positions": {"y": 1.0}}, "y"),
+        ({"op": "move", "positions": {"x": 1.0, "y": 1.0}}, None),
+        ({"op": "move", "positions": {"z": 1.0}}, None),
+        ({"op": "arm", "axis": "x"}, "x"),
+        ({"op": "arm", "axis": "z"}, None),
+        ({"op": "arm"}, None),
+        ({"op": "acquire"}, None),
+    ],
+)
+def test_the_log_names_the_axis_of_a_request_that_is_for_one_of_several_alone(
+    asked: dict[str, Any], axis: str | None
+) -> None:
+    assert Service().requests._axis_of(read_request(asked)).get("axis") == axis
 
 
 # Who commands --------------------------------------------------------------------------------------------------------

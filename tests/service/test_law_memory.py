@@ -1,7 +1,9 @@
 """What a law has learned outlives the service, if the configuration says so: over frames, in simulated time."""
 
 import asyncio
+import errno
 import json
+import os
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
@@ -11,12 +13,17 @@ import structlog
 
 from tests.service.rig import World, simulate
 from tests.service.test_reload import change, reloading
+from tests.service.test_request_handler import Client
 from tests.service.test_several_axes import DEMO, Plant, axis_page, machine_file, operate
 from twostage_servo.api.requests import ForgetRequest
+from twostage_servo.api.status import Status
+from twostage_servo.app.build import build_requests
 from twostage_servo.app.closed_loop import ClosedLoop
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.cli.axis_text import describe
 from twostage_servo.service.law_memory import LawMemory
+from twostage_servo.service.runtime import Runtime
 from twostage_servo.telemetry.learned_files import LearnedFiles
 
 OFF_THE_MODEL = ("axis.law.type=adaptive", "simulation.gain=225", "simulation.pole=10.5")
@@ -351,3 +358,121 @@ def test_two_axes_keep_what_is_their_own(tmp_path: Path) -> None:
     operate(machine, script)
     assert gains[1] == before
     assert {one.name for one in folder.iterdir()} == {"learned-y.json"}
+
+
+def asking(world: World, memory: LawMemory) -> Callable[[], Awaitable[dict[str, Any]]]:
+    """Return what asks the service to forget, as a client of its socket does."""
+    handler = build_requests(world.parts, Runtime(world.ticks), erase_learned=memory.erase)
+
+    async def ask() -> dict[str, Any]:
+        client = Client(arrived_after_s=asyncio.get_running_loop().time())
+        reply = await handler.prepare(ForgetRequest(), client) or handler.answer(ForgetRequest(), client)
+        answer: dict[str, Any] = json.loads(b"".join(reply.pieces))
+        return answer
+
+    return ask
+
+
+def read_only(*_: object, **__: object) -> None:
+    raise OSError(errno.EROFS, "Read-only file system")
+
+
+def test_who_forgets_is_told_when_the_file_has_gone(tmp_path: Path) -> None:
+    async def script(world: World) -> None:
+        memory, files = kept_in(tmp_path, world.loop)
+        await world.armed()
+        await one_move(world)
+        answer = await asking(world, memory)()
+        assert (names(tmp_path), moves(world)) == ([], 0)
+        assert answer["law"] == {"type": "adaptive", "identified": None, "accepted": None, "file_error": None}
+        await world.seconds(0.1)
+        memory.finish()
+        await files.close()
+        assert names(tmp_path) == []
+
+    simulate(script, *KEPT)
+
+
+async def forgets(world: World, ask: Callable[[], Awaitable[dict[str, Any]]]) -> None:
+    await ask()
+
+
+async def trips(world: World, _: Callable[[], Awaitable[dict[str, Any]]]) -> None:
+    world.axis.raise_trip(TripCode.STALE_FEEDBACK, "test")
+    await world.seconds(0.02)
+
+
+@pytest.mark.parametrize("what", [forgets, trips])
+@pytest.mark.parametrize("is_marked", [True, False])
+def test_a_file_that_cannot_be_erased_is_told_and_is_not_used_again_where_it_can_be_marked(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    what: Callable[[World, Callable[[], Awaitable[dict[str, Any]]]], Awaitable[None]],
+    is_marked: bool,
+) -> None:
+    run(tmp_path, one_move)
+    file = only_file(tmp_path)
+
+    async def script(world: World) -> None:
+        memory, files = kept_in(tmp_path, world.loop)
+        await world.armed()
+        assert moves(world) == 1
+        await what(world, asking(world, memory))
+        assert moves(world) == 0
+        (told,) = [line for line in describe(Status.from_json(world.loop.snapshot())).splitlines() if "erased" in line]
+        assert told.startswith(f"file of the law  {file} cannot be erased ([Errno 30] Read-only file system")
+        assert told.endswith("is not used any more: remove it" if is_marked else "would use it: remove it before")
+        memory.finish()
+        await files.close()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "unlink", read_only)
+        if not is_marked:
+            patch.setattr(Path, "touch", read_only)
+        simulate(script, *KEPT)
+    (line,) = run(tmp_path, nothing)
+    assert line["event"] == (IGNORED if is_marked else RESTORED)
+
+
+def test_forget_is_refused_where_the_next_start_would_use_the_file_though_the_law_has_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(tmp_path, one_move)
+
+    async def script(world: World) -> None:
+        memory, files = kept_in(tmp_path, world.loop)
+        await world.armed()
+        ask = asking(world, memory)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "unlink", read_only)
+            patch.setattr(Path, "touch", read_only)
+            error = (await ask())["error"]
+        assert (error["code"], moves(world)) == ("not_erased", 0)
+        assert error["message"].startswith(f"the law has forgotten, but {tmp_path}/learned-x.json cannot be erased")
+        assert (await ask())["ok"]
+        assert names(tmp_path) == []
+        await files.close()
+
+    simulate(script, *KEPT)
+
+
+def test_a_disk_that_hangs_keeps_no_answer_and_the_law_has_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(tmp_path, one_move)
+
+    async def script(world: World) -> None:
+        memory, files = kept_in(tmp_path, world.loop)
+        await world.armed()
+        hanging = asyncio.get_running_loop().create_future()
+        with monkeypatch.context() as patch:
+            patch.setattr(asyncio.get_running_loop(), "run_in_executor", lambda *_: hanging)
+            error = (await asking(world, memory)())["error"]
+        assert (error["code"], moves(world)) == ("not_erased", 0)
+        assert "the disk does not respond" in error["message"]
+        hanging.set_result(None)
+        await world.seconds(0.1)
+        assert world.report["law"]["file_error"] is None
+        await files.close()
+
+    simulate(script, *KEPT)

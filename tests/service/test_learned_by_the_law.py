@@ -24,7 +24,7 @@ async def moved(world: World, *targets: float) -> None:
 def test_the_status_tells_what_has_been_learned_and_forget_erases_it() -> None:
     async def script(world: World) -> None:
         await world.armed()
-        assert world.report["law"] == {"type": "adaptive", "identified": None, "accepted": None}
+        assert world.report["law"] == {"type": "adaptive", "identified": None, "accepted": None, "file_error": None}
         await moved(world, 100.0, 0.0)
         status = Status.from_json(world.loop.snapshot())
         law = status.only.law
@@ -39,7 +39,7 @@ def test_the_status_tells_what_has_been_learned_and_forget_erases_it() -> None:
         assert "adaptive; from 2 moves: gain 22" in line
         assert "mm/s²/V, pole 1" in line
         answer = world.requests.handle(ForgetRequest())
-        assert answer["law"] == {"type": "adaptive", "identified": None, "accepted": None}
+        assert answer["law"] == {"type": "adaptive", "identified": None, "accepted": None, "file_error": None}
         assert "law              adaptive\n" in describe(Status.from_json(answer))
 
     simulate(script, *ADAPTIVE)

@@ -43,8 +43,11 @@ class LawStatus(JsonRecord):
         What it has learned of its plant; None before it has, and of a law that learns nothing.
     accepted
         Whether it controls by that plant as by one that is known; None likewise.
+    file_error
+        Why the file of what it has learned could not be written or erased, and what to do; None if all is well.
     """
 
     type: str
     identified: IdentifiedStatus | None
     accepted: bool | None
+    file_error: str | None

@@ -25,7 +25,7 @@ from twostage_servo.service.disabled_report import DisabledReport
 from twostage_servo.service.event_log import EventLog
 from twostage_servo.service.reload import Change, Reload
 from twostage_servo.service.request_age import RequestAge, no_time_asleep
-from twostage_servo.service.request_handler import RequestHandler
+from twostage_servo.service.request_handler import EraseLearned, RequestHandler
 from twostage_servo.service.runtime import Runtime
 from twostage_servo.service.servo_service import Publisher, ServoService
 from twostage_servo.service.shutdown import Shutdown
@@ -148,6 +148,7 @@ def build_requests(
     runtime: Runtime,
     prepare_reload: Callable[[], Awaitable[Change]] | None = None,
     asleep_s: Callable[[], float] = no_time_asleep,
+    erase_learned: EraseLearned | None = None,
 ) -> RequestHandler:
     """Return what carries out the requests of clients.
 
@@ -159,6 +160,8 @@ def build_requests(
         Reads the configuration again, outside the loop; None where there is none to read.
     asleep_s
         Tells how long the machine has slept, s, for the age of requests.
+    erase_learned
+        Erases the files of what the laws of some axes have learned; None where there are none.
     """
     report = StatusReport(parts.axis_loops, parts.statistics, parts.authority, runtime.report)
     return RequestHandler(
@@ -169,6 +172,7 @@ def build_requests(
         Reload(parts.axis_loops, prepare_reload),
         RequestAge(parts.period_s, asleep_s),
         parts.machine.service.holder_lost,
+        erase_learned,
     )
 
 

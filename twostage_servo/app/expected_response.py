@@ -22,6 +22,9 @@ _SETTLED_SHARE: Final = 1e-3
 """Of a move's length, within which it counts as settled, where that is more than the position window."""
 _LONGEST_TICKS: Final = 60_000
 """A move that has not settled by then is not looked at any longer."""
+_CALM_S: Final = 0.3
+_CALM_SHARE: Final = 0.3
+"""For how long, in s, an axis has to be nearer to its set-point than this share of the band, and not to leave it."""
 _ARMING_TICKS: Final = 1_000
 _HELD_TICKS: Final = 50
 """What an axis holds for before it moves."""
@@ -247,22 +250,25 @@ class _Bench:
             self._tick()
 
     def run(self) -> Response:
-        """Move, and watch until it has been settled for as long again as it was expected to take."""
+        """Move, and watch until the axis has come to rest; or in vain, for twice as long as that should take."""
         move, plant = self._move, self._plant
         start = plant.position
         target, band = start + move.distance, move.band(self._window)
         self._axis.move_to(target, move.velocity)
         outside = 0
         overshoot = peak_velocity = peak_effort = 0.0
-        ticks = self._watched_ticks
-        for tick in range(1, ticks + 1):
+        ticks, calm_ticks, enough = 0, 0, round(_CALM_S / self._period_s)
+        while ticks < self._watched_ticks and calm_ticks < enough:
+            ticks += 1
+            way_to_go = abs(plant.position - target) + abs(plant.velocity) * _CALM_S
+            calm_ticks = calm_ticks + 1 if way_to_go < _CALM_SHARE * band else 0
             effort = self._tick()
-            self.points.append(TracePoint(tick * self._period_s, plant.position - target, plant.velocity, effort))
+            self.points.append(TracePoint(ticks * self._period_s, plant.position - target, plant.velocity, effort))
             peak_effort = max(peak_effort, abs(effort))
             peak_velocity = max(peak_velocity, abs(plant.velocity))
             overshoot = max(overshoot, plant.position - target)
             if abs(plant.position - target) > band:
-                outside = tick
+                outside = ticks
             if self._axis.trip is not None:
                 return Response(None, overshoot, peak_velocity, peak_effort, self._axis.trip.code)
         settled = (outside + 1) * self._period_s if outside < ticks else None

@@ -95,21 +95,27 @@ def serve(machine: Machine, signals: EndingSignals, path: Path | None, overrides
             punctual(machine.realtime, parts.axis_loops, parts.period_s, notifier.tick_completed) as runtime,
         ):
             reloading = Reloading(parts, path, overrides)
-            requests = build_requests(parts, runtime, reloading.prepare, time_asleep_s)
-            runner.run(_serve(parts, runtime, requests, notifier, signals))
+            learned_files = LearnedFiles(_folder(parts))
+            memory = LawMemory(parts.axis_loops, learned_files)
+            requests = build_requests(parts, runtime, reloading.prepare, time_asleep_s, memory.erase)
+            runner.run(_serve(parts, runtime, requests, notifier, signals, memory, learned_files))
     finally:
         writer.close()
     return Served(requests.status.report.snapshot(), parts.shutdown.not_disabled)
 
 
 async def _serve(
-    parts: Parts, runtime: Runtime, requests: "RequestHandler", notifier: Notifier, signals: EndingSignals
+    parts: Parts,
+    runtime: Runtime,
+    requests: "RequestHandler",
+    notifier: Notifier,
+    signals: EndingSignals,
+    memory: LawMemory,
+    learned_files: LearnedFiles,
 ) -> None:
     settings, shutdown = parts.machine.service, parts.shutdown
     signals.call(shutdown.begin, asyncio.get_running_loop())
-    folder = Path(settings.trip_folder or default_folder())
-    trip_files, learned_files = TripFiles(folder), LearnedFiles(folder)
-    memory = LawMemory(parts.axis_loops, learned_files)
+    trip_files = TripFiles(_folder(parts))
     with threads():
         trip_files.start()
         if memory.is_used:
@@ -145,6 +151,10 @@ def announces_end(parts: Parts, notifier: Notifier) -> "Callable[[Tick], None]":
             notifier.stopping(_longest_end_s(parts))
 
     return announce
+
+
+def _folder(parts: Parts) -> Path:
+    return Path(parts.machine.service.trip_folder or default_folder())
 
 
 def _longest_end_s(parts: Parts) -> float:

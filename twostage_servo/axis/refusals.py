@@ -24,6 +24,7 @@ class RefusalCode(enum.StrEnum):
     TRIPPED = "tripped"
     NOT_TRIPPED = "not_tripped"
     LEARNS_NOTHING = "learns_nothing"
+    NOT_ERASED = "not_erased"
     # Of its limits and its reference
     POSITION_LIMIT = "position_limit"
     VELOCITY_LIMIT = "velocity_limit"

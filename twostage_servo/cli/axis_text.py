@@ -140,6 +140,7 @@ def _rows_of_axis(report: AxisReport) -> list[tuple[str, str]]:
         ("effort", f"{axis.effort:.3f} {axis.effort_unit}" + (" (at its limit)" if axis.saturated else "")),
         ("following error", f"{axis.following_error:.3f} {axis.unit}"),
         ("law", _of_law(report)),
+        *([("file of the law", report.law.file_error)] if report.law.file_error else []),
         ("bus", f"open, controller {bus.controller}" if bus.open else f"closed: {bus.error}"),
         ("drive inputs", ", ".join(name for name, on in report.inputs.to_json().items() if on) or "none active"),
         (

@@ -82,7 +82,10 @@ def _design(options: argparse.Namespace) -> ExitCode:
     }
     share = options.uncertainty / 100.0
     expected = expect(axis_design, traits, move, share)
-    corners = [expect(axis_design, traits, corner, share) for corner in corner_moves(loaded.config.axis)]
+    corners = [
+        expected if corner == move else expect(axis_design, traits, corner, share)
+        for corner in corner_moves(loaded.config.axis)
+    ]
     report = _report(axis_design, loops, analyses, expected, corners) | {"uncertainty": options.uncertainty}
     if options.plot is not None:
         _plot(options.plot, axis_design, analyses, loaded.source, traits, move, share)

@@ -196,7 +196,11 @@ def _reset(options: argparse.Namespace) -> ExitCode:
 
 def _forget(options: argparse.Namespace) -> ExitCode:
     with _connected(options) as client:
-        return _finish(options, client.forget())
+        status = client.forget()
+    for name, report in status.axes.items():
+        if report.law.file_error:
+            note(f"twostage-servo forget: axis {name}: {report.law.file_error}")
+    return _finish(options, status)
 
 
 def _move(options: argparse.Namespace) -> ExitCode:

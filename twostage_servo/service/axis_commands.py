@@ -114,13 +114,24 @@ class AxisCommands:
             axis_loop.recorder.discard()
 
     def forget(self, axis_loops: Sequence[AxisLoop]) -> None:
-        """Let those laws forget their plants that learn them."""
-        learning = [axis_loop for axis_loop in axis_loops if axis_loop.axis.learned is not None] or axis_loops
-        for axis_loop in learning:
+        """Let those laws forget their plants that learn them, then refuse where the next start would recall one."""
+        self.check_forget(axis_loops)
+        for axis_loop in self._learning(axis_loops):
+            axis_loop.axis.forget()
+        for axis_loop in axis_loops:
+            if axis_loop.learned_file.would_return:
+                with self._named(axis_loop):
+                    text = f"the law has forgotten, but {axis_loop.learned_file.error}."
+                    raise Refused(RefusalCode.NOT_ERASED, text)
+
+    def check_forget(self, axis_loops: Sequence[AxisLoop]) -> None:
+        """Tell whether those laws could forget that learn something."""
+        for axis_loop in self._learning(axis_loops):
             with self._named(axis_loop) as axis:
                 axis.check_forget()
-        for axis_loop in learning:
-            axis_loop.axis.forget()
+
+    def _learning(self, axis_loops: Sequence[AxisLoop]) -> Sequence[AxisLoop]:
+        return [axis_loop for axis_loop in axis_loops if axis_loop.axis.learned is not None] or axis_loops
 
     def move(self, axis_loops: Sequence[AxisLoop], request: MoveRequest) -> None:
         """Give one axis a set-point, or several together."""

@@ -14,6 +14,7 @@ from twostage_servo.drives.drive import Decoder, Drive
 from twostage_servo.drives.start_up import StartUp
 from twostage_servo.service.bus_connection import BusConnection, Subscriber
 from twostage_servo.service.receiver import Receiver
+from twostage_servo.telemetry.learned_files import LearnedFile
 from twostage_servo.telemetry.recorder import Recorder
 from twostage_servo.telemetry.sample import Sample
 from twostage_servo.timing.histogram import TimeHistogram
@@ -47,6 +48,8 @@ class AxisLoop:
         Takes the drive's frames to the axis.
     recorder
         The last ticks.
+    learned_file
+        What became of the file of what the law has learned.
     command
         What the axis decided on in this tick.
     sample
@@ -62,6 +65,7 @@ class AxisLoop:
         self.start_up = StartUp(drive.start_up, period_s)
         self.receiver = Receiver(drive.traits, drive.feedback_id.identifier, period_s)
         self.recorder = Recorder(max(1, round(recording_s / period_s)), period_s)
+        self.learned_file = LearnedFile()
         self.command: Command = NO_EFFORT
         self.sample: Sample | None = None
         self._period_s = period_s

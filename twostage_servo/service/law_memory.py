@@ -9,16 +9,21 @@ from twostage_servo.api.fields import JsonObject
 from twostage_servo.api.records import JsonRecord
 from twostage_servo.control.laws.law import Learned
 from twostage_servo.service.axis_loop import AxisLoop
+from twostage_servo.telemetry.learned_files import LearnedFile
 
 if TYPE_CHECKING:
     from twostage_servo.axis.axis import Axis
     from twostage_servo.timing.ticks import Tick
 
 _FORMAT: Final = 1
+_HANGS: Final = (
+    "the disk does not respond, so that what was learned may be erased or not: see that its file has gone before the "
+    "service starts again"
+)
 
 
 class LearnedStore(Protocol):
-    """Keeps a document for each axis; but for reading, it never waits."""
+    """Keeps a document for each axis, and tells what becomes of it; but for reading, it never waits."""
 
     def exists(self, axis: str) -> bool:
         """Whether there is one, or may be."""
@@ -26,11 +31,14 @@ class LearnedStore(Protocol):
     def read(self, axis: str) -> JsonObject | None:
         """Return it, None if there is none; raise OSError or ValueError if it cannot be read."""
 
-    def write(self, axis: str, document: JsonObject) -> None:
+    def write(self, axis: str, document: JsonObject, file: LearnedFile) -> None:
         """Begin to replace it."""
 
-    def erase(self, axis: str) -> None:
+    def erase(self, axis: str, file: LearnedFile) -> None:
         """Begin to erase it."""
+
+    async def settled(self) -> bool:
+        """Wait for a short time until what was begun has ended; return whether it has."""
 
 
 class LearnedPlant(JsonRecord):
@@ -73,6 +81,7 @@ class LawMemory:
     """
 
     def __init__(self, axis_loops: Sequence[AxisLoop], store: LearnedStore) -> None:
+        self._store = store
         self._axes = [_AxisMemory(axis_loop, store) for axis_loop in axis_loops]
 
     @property
@@ -90,6 +99,18 @@ class LawMemory:
         for one in self._axes:
             one.look()
 
+    async def erase(self, axis_loops: Sequence[AxisLoop]) -> None:
+        """Erase what is kept of some axes, and wait for it: their laws are about to forget.
+
+        What has become of it stands in `learned_file` of each.
+        """
+        for one in self._axes:
+            if one.axis_loop in axis_loops:
+                one.erase()
+        if not await self._store.settled():
+            for axis_loop in axis_loops:
+                axis_loop.learned_file.fail(_HANGS, would_return=True)
+
     def finish(self) -> None:
         """Keep what has been learned since: the service ends."""
         for one in self._axes:
@@ -97,10 +118,16 @@ class LawMemory:
 
 
 class _AxisMemory:
-    """What is kept of one axis."""
+    """What is kept of one axis.
+
+    Attributes
+    ----------
+    axis_loop
+        The axis.
+    """
 
     def __init__(self, axis_loop: AxisLoop, store: LearnedStore) -> None:
-        self._axis_loop = axis_loop
+        self.axis_loop = axis_loop
         self._store = store
         self._axis = axis_loop.axis
         self._state = self._axis.state
@@ -118,27 +145,27 @@ class _AxisMemory:
         if not self.is_kept:
             return
         try:
-            document = self._store.read(self._axis_loop.name)
+            document = self._store.read(self.axis_loop.name)
             if document is None:
                 return
             learned = _learned_in(LearnedDocument.from_json(document), self._axis)
             self._axis.recall(learned)
         except (OSError, ValueError, OverflowError) as error:
             text = "what the law had learned is not used: the first move begins with the configured plant"
-            structlog.get_logger().warning(text, axis=self._axis_loop.name, error=str(error) or type(error).__name__)
+            structlog.get_logger().warning(text, axis=self.axis_loop.name, error=str(error) or type(error).__name__)
         else:
             self._kept = learned
             text = "the law goes on with what it had learned"
-            structlog.get_logger().info(text, axis=self._axis_loop.name, moves=learned.moves)
+            structlog.get_logger().info(text, axis=self.axis_loop.name, moves=learned.moves)
 
     def look(self) -> None:
         """Look at the axis after a tick: it costs next to nothing while the state stays the same."""
-        axis = self._axis_loop.axis
+        axis = self.axis_loop.axis
         if axis is not self._axis:  # of settings that were read again: it begins with what the former one knew
             self._axis, self._forgotten = axis, axis.times_forgotten
         elif axis.times_forgotten != self._forgotten:
             self._forgotten = axis.times_forgotten
-            self._erase()
+            self.erase()
         if axis.state is not self._state:
             self._state = axis.state
             self._keep()
@@ -146,6 +173,8 @@ class _AxisMemory:
     def finish(self) -> None:
         """Look once more."""
         self.look()
+        if self.axis_loop.learned_file.would_return:
+            self.erase()
         self._keep()
 
     def _keep(self) -> None:
@@ -153,14 +182,14 @@ class _AxisMemory:
         if not self.is_kept or learned is None or not learned.moves or learned == self._kept:
             return
         self._kept, self._may_exist = learned, True
-        self._store.write(self._axis_loop.name, _document(axis, learned).to_json())
+        self._store.write(self.axis_loop.name, _document(axis, learned).to_json(), self.axis_loop.learned_file)
 
-    def _erase(self) -> None:
+    def erase(self) -> None:
         """Erase it also where the settings keep it no more: they may be changed back."""
         self._kept = None
-        if self._may_exist:
+        if self._may_exist or self.axis_loop.learned_file.would_return:
             self._may_exist = False
-            self._store.erase(self._axis_loop.name)
+            self._store.erase(self.axis_loop.name, self.axis_loop.learned_file)
 
 
 def _document(axis: "Axis", learned: Learned) -> LearnedDocument:

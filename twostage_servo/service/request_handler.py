@@ -1,6 +1,6 @@
 """What becomes of a request: it is carried out, refused, or dropped where nobody waits for it any more."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from typing import Final, Literal
 
 import structlog
@@ -43,6 +43,7 @@ _NEVER_TOO_LATE: Final = (StopRequest, DisarmRequest, ReleaseRequest)
 """Requests that set nothing in motion: they are carried out however old, and whoever has gone."""
 _OK: Final = b'{"ok":true,'
 
+EraseLearned = Callable[[Sequence[AxisLoop]], Awaitable[None]]
 HolderLost = Literal["continue", "stop", "disarm"]
 
 
@@ -65,6 +66,8 @@ class RequestHandler:
         Tells how old requests are.
     holder_lost
         What becomes of a move when the connection ends that commanded it and has not released its authority.
+    erase_learned
+        Erases what is kept in files of what the laws of axes have learned; None where nothing is.
 
     Attributes
     ----------
@@ -81,6 +84,7 @@ class RequestHandler:
         reload: Reload,
         age: RequestAge,
         holder_lost: HolderLost,
+        erase_learned: EraseLearned | None = None,
     ) -> None:
         self.authority = authority
         self.status = status
@@ -90,6 +94,7 @@ class RequestHandler:
         self._shutdown = shutdown
         self._reload = reload
         self._holder_lost: HolderLost = holder_lost
+        self._erase_learned = erase_learned
         self._listeners: list[Callable[[Request, str], None]] = []
         self._log = structlog.get_logger().bind(room="control_socket")
 
@@ -114,11 +119,14 @@ class RequestHandler:
 
     async def prepare(self, request: Request, asker: Asker) -> Reply | None:
         """Do ahead what a request needs that takes longer than a tick; return its answer if it is refused by then."""
-        if not isinstance(request, ReloadRequest) or asker.gone:
+        if not isinstance(request, ReloadRequest | ForgetRequest) or asker.gone:
             return None
         try:
             self._check_age(request, asker)
-            await self.prepare_reload(asker.peer)
+            if isinstance(request, ReloadRequest):
+                await self.prepare_reload(asker.peer)
+            else:
+                await self.prepare_forget(request, asker.peer)
         except Refused as error:
             return self._refusal(request, asker, error)
         except Exception as error:  # noqa: BLE001 - a defect: the service ends with it
@@ -184,6 +192,21 @@ class RequestHandler:
         with self.authority.acquired(client):
             await self._reload.prepare(client)
 
+    async def prepare_forget(self, request: ForgetRequest, client: str) -> None:
+        """Erase the files ahead of a client's `forget`, whose answer tells whether they have gone.
+
+        Raises
+        ------
+        Refused
+            If it would be refused.
+        """
+        self._check_not_ending()
+        addressed = self._addressed(request)
+        with self.authority.acquired(client):
+            self._commands.check_forget(addressed)
+            if self._erase_learned is not None:
+                await self._erase_learned(addressed)
+
     # One way ---------------------------------------------------------------------------------------------------------
 
     def _addressed(self, request: Request) -> Sequence[AxisLoop]:
@@ -192,15 +215,17 @@ class RequestHandler:
 
     def _axis_of(self, request: Request) -> dict[str, str]:
         """Return the field by which the log names the axis of a request; none where that is not one of ours alone."""
-        names = [axis_loop.name for axis_loop in self._axis_loops]
-        name = names[0] if len(names) == 1 else None
-        if isinstance(request, AxisRequest) and (request.axis or name) in names:
-            return {"axis": request.axis or names[0]}
-        return {}
+        if not isinstance(request, AxisRequest):
+            return {}
+        ours = [axis_loop.name for axis_loop in self._axis_loops]
+        together = request.positions if isinstance(request, MoveRequest) else None
+        named = [request.axis] if request.axis else list(together or ours)
+        return {"axis": named[0]} if len(named) == 1 and named[0] in ours else {}
 
     def _accept(self, request: Request, asker: Asker) -> Sequence[AxisLoop]:
         """Carry out a request that has come in time; return the axes that it was for."""
-        if not (isinstance(request, ReloadRequest) and self._reload.is_prepared(asker.peer)):
+        is_prepared = isinstance(request, ReloadRequest) and self._reload.is_prepared(asker.peer)
+        if not isinstance(request, ForgetRequest) and not is_prepared:  # else :meth:`prepare` has checked it
             self._check_age(request, asker)
         if not isinstance(request, JogRequest):  # a jog is asked for several times a second
             self._log.info("request", peer=asker.peer, **(self._axis_of(request) | request.to_json()))

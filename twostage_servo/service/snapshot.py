@@ -118,15 +118,15 @@ def report_axis(axis_loop: "AxisLoop") -> AxisReport:
             controller=bus.link.controller_state,
             error_counters=bus.link.error_counters,
         ),
-        law=law_status(axis),
+        law=law_status(axis, axis_loop.learned_file.error),
     )
 
 
-def law_status(axis: "Axis") -> LawStatus:
-    """Return which law drives an axis, and what it has learned of its plant."""
+def law_status(axis: "Axis", file_error: str | None = None) -> LawStatus:
+    """Return which law drives an axis, what it has learned of its plant, and what keeps its file from being so."""
     name, learned = axis.settings.law.type, axis.learned
     if learned is None or not learned.moves:
-        return LawStatus(type=name, identified=None, accepted=None)
+        return LawStatus(type=name, identified=None, accepted=None, file_error=file_error)
     forward, backward = learned.load
     identified = IdentifiedStatus(
         gain=learned.gain,
@@ -135,7 +135,7 @@ def law_status(axis: "Axis") -> LawStatus:
         load=LoadStatus(forward=forward, backward=backward),
         moves=learned.moves,
     )
-    return LawStatus(type=name, identified=identified, accepted=learned.is_sure)
+    return LawStatus(type=name, identified=identified, accepted=learned.is_sure, file_error=file_error)
 
 
 def _axis_status(axis_loop: "AxisLoop") -> AxisStatus:

@@ -12,12 +12,45 @@ from typing import Any, Final
 import structlog
 
 from twostage_servo.api.fields import JsonObject
-from twostage_servo.telemetry.state_file import erase_state, read_state, remove_unfinished, write_state
+from twostage_servo.telemetry.state_file import (
+    CountsAsErasedError,
+    erase_state,
+    read_state,
+    remove_remains,
+    write_state,
+)
 from twostage_servo.worker_thread import WorkerThread
 
 _LONGEST_END_S: Final = 2.0
 _PLAIN: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _DIGEST_LETTERS: Final = 12
+
+
+class LearnedFile:
+    """What became of the file of one axis.
+
+    Attributes
+    ----------
+    error
+        Why it could not be written or erased, and what to do; None if it is as it should be.
+    would_return
+        Whether the service's next run would use what was forgotten.
+    """
+
+    __slots__ = ("error", "would_return")
+
+    def __init__(self) -> None:
+        self.error: str | None = None
+        self.would_return = False
+
+    def succeed(self) -> None:
+        """Tell that it was written, or erased."""
+        self.error, self.would_return = None, False
+
+    def fail(self, error: str, *, would_return: bool = False) -> None:
+        """Tell why it could not be; that what was forgotten would return matters more than all that follows."""
+        if would_return or not self.would_return:
+            self.error, self.would_return = error, would_return
 
 
 class LearnedFiles:
@@ -80,23 +113,27 @@ class LearnedFiles:
         """
         path = self.path(axis)
         with contextlib.suppress(OSError):
-            remove_unfinished(path)
+            remove_remains(path)
         return read_state(path)
 
-    def write(self, axis: str, document: JsonObject) -> None:
+    def write(self, axis: str, document: JsonObject, file: LearnedFile) -> None:
         """Begin to write the file of an axis; never waits, and never raises."""
-        self._begin(
-            functools.partial(self._write_file, self.path(axis), document), functools.partial(self._written, axis)
-        )
+        path = self.path(axis)
+        ended = functools.partial(self._written, axis, path, file)
+        self._begin(functools.partial(self._write_file, path, document), ended)
 
-    def erase(self, axis: str) -> None:
+    def erase(self, axis: str, file: LearnedFile) -> None:
         """Begin to erase the file of an axis; never waits, and never raises."""
         path = self.path(axis)
-        self._begin(functools.partial(erase_state, path), functools.partial(self._erased, axis, path))
+        self._begin(functools.partial(erase_state, path), functools.partial(self._erased, axis, path, file))
+
+    async def settled(self) -> bool:
+        """Wait until what was begun has ended, but not for a disk that hangs; return whether it has."""
+        return not self._pending or not (await asyncio.wait(self._pending, timeout=_LONGEST_END_S))[1]
 
     async def close(self) -> None:
         """Let what was begun end, and the thread with it; a disk that hangs is not waited for."""
-        if self._pending and (await asyncio.wait(self._pending, timeout=_LONGEST_END_S))[1]:
+        if not await self.settled():
             self._log.error("what a law has learned is not written: the disk does not respond", folder=str(self.folder))
         self._thread.end(0.0)
 
@@ -114,19 +151,34 @@ class LearnedFiles:
         if not future.cancelled():
             ended(future.exception())
 
-    def _written(self, axis: str, error: BaseException | None) -> None:
+    def _written(self, axis: str, path: Path, file: LearnedFile, error: BaseException | None) -> None:
         if error is None:
             self._failing.discard(axis)
-        elif axis not in self._failing:
+            file.succeed()
+            return
+        file.fail(f"{path} cannot be written ({_reason(error)}): what was learned since ends with the service")
+        if axis not in self._failing:
             self._failing.add(axis)
             text = "what a law has learned cannot be written, and ends with the service"
             told = {"folder": str(self.folder), "error": _reason(error), "key": "axis.law.memory"}
             self._log.warning(text, axis=axis, **told)
 
-    def _erased(self, axis: str, path: Path, error: BaseException | None) -> None:
-        if error is not None:
-            text = "what a law has learned cannot be erased: remove the file before the service starts again"
-            self._log.error(text, axis=axis, path=str(path), error=_reason(error))
+    def _erased(self, axis: str, path: Path, file: LearnedFile, error: BaseException | None) -> None:
+        before = file.error
+        if error is None:
+            file.succeed()
+        elif isinstance(error, CountsAsErasedError):
+            file.succeed()
+            file.fail(f"{path} cannot be erased ({error}), and is not used any more: remove it")
+            if file.error != before:
+                text = "what a law has learned cannot be erased, and is not used any more: remove the file"
+                self._log.warning(text, axis=axis, path=str(path), error=_reason(error))
+        else:
+            advice = "and the next start of the service would use it: remove it before"
+            file.fail(f"{path} cannot be erased ({_reason(error)}), {advice}", would_return=True)
+            if file.error != before:
+                text = "what a law has learned cannot be erased: remove the file before the service starts again"
+                self._log.error(text, axis=axis, path=str(path), error=_reason(error))
 
 
 def _reason(error: BaseException) -> str:

@@ -11,8 +11,14 @@ from typing import Any, Final
 from twostage_servo.api.fields import JsonObject
 
 _UNFINISHED: Final = ".part"
+_ERASED: Final = ".erased"
+"""Ending of an empty file beside one that counts as erased, since it could not be removed."""
 _LARGEST_BYTES: Final = 65_536
 """Of a file that is read: what is larger is none of ours."""
+
+
+class CountsAsErasedError(OSError):
+    """A file could not be removed, but counts as erased from now on; its text says why it could not."""
 
 
 def write_state(path: Path, document: JsonObject) -> None:
@@ -44,6 +50,7 @@ def write_state(path: Path, document: JsonObject) -> None:
         with contextlib.suppress(OSError):
             os.unlink(unfinished)  # noqa: PTH108 - likewise
         raise
+    _mark_of(path).unlink(missing_ok=True)  # it told of the former one
     _sync_folder(path.parent)
 
 
@@ -53,8 +60,10 @@ def read_state(path: Path) -> JsonObject | None:
     Raises
     ------
     OSError, ValueError
-        If it cannot be read, or holds something else.
+        If it cannot be read, counts as erased, or holds something else.
     """
+    if os.path.lexists(path) and os.path.lexists(mark := _mark_of(path)):
+        raise ValueError(f"it counts as erased ({mark}), since it could not be removed: remove it")
     try:
         with open(path, "rb", opener=_open_without_waiting) as file:
             data = file.read(_LARGEST_BYTES + 1)
@@ -74,18 +83,27 @@ def read_state(path: Path) -> JsonObject | None:
 def erase_state(path: Path) -> None:
     """Remove a file, if there is one, so that it does not come back after a power cut.
 
+    One that cannot be removed, such as another user's in a sticky folder, is marked: it is not read any more.
+
     Raises
     ------
+    CountsAsErasedError
+        If it is only marked.
     OSError
-        If it cannot be removed.
+        If it cannot be marked either.
     """
-    if os.path.lexists(path):
-        path.unlink(missing_ok=True)
-        _sync_folder(path.parent)
+    try:
+        path.unlink()
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        _mark(path)
+        raise CountsAsErasedError(str(error)) from error
+    _sync_folder(path.parent)
 
 
-def remove_unfinished(path: Path) -> None:
-    """Remove what a process has left of a file that ended while it wrote.
+def remove_remains(path: Path) -> None:
+    """Remove what a process has left of a file that ended while it wrote, and the mark of a file that has gone.
 
     Raises
     ------
@@ -94,6 +112,20 @@ def remove_unfinished(path: Path) -> None:
     """
     for unfinished in _unfinished(path):
         unfinished.unlink(missing_ok=True)
+    if not os.path.lexists(path):
+        _mark_of(path).unlink(missing_ok=True)
+
+
+def _mark_of(path: Path) -> Path:
+    return path.with_name(path.name + _ERASED)
+
+
+def _mark(path: Path) -> None:
+    """Let a file count as erased, also after a power cut."""
+    mark = _mark_of(path)
+    if not os.path.lexists(mark):
+        mark.touch(mode=0o644)
+    _sync_folder(path.parent)
 
 
 def _unfinished(path: Path) -> Iterator[Path]:
