@@ -39,4 +39,4 @@ def test_run_loads_no_other_group_of_verbs() -> None:
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # noqa: S603
     loaded = {name.rpartition(".")[2] for name in done.stdout.split()}
-    assert loaded == {"configuration", "extras", "main", "operate", "output", "serve", "typed_numbers"}
+    assert loaded == {"configuration", "extras", "main", "operate", "output", "serve", "typed_names", "typed_numbers"}

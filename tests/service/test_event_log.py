@@ -63,7 +63,7 @@ def test_feedback_that_comes_and_goes_is_told_each_time() -> None:
     told = Told()
     told.tick(0)
     told.axis.drive.is_stale = False
-    assert told.tick(1) == [line("feedback fresh", "warning", 1)]
+    assert told.tick(1) == [line("feedback fresh", "info", 1)]
     assert told.tick(2) == []
     told.axis.drive.is_stale = True
     assert told.tick(3) == [line("feedback stale", "warning", 3)]
@@ -75,7 +75,7 @@ def test_on_what_positions_rest_is_told_whenever_it_changes() -> None:
     reference.source, reference.lost_because = None, "never homed"
     assert told.tick(0) == [line("the position is not known: home the axis", "info", 0, reason="never homed")]
     reference.source, reference.lost_because = ReferenceSource.HOMED, ""
-    assert told.tick(1) == [line("the position is known", "warning", 1)]
+    assert told.tick(1) == [line("the position is known", "info", 1)]
     assert told.tick(2) == []
     text = "the position is no longer known: home the axis"
     for index, reason in ((3, "rebooted"), (4, "lost")):

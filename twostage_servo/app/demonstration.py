@@ -241,6 +241,7 @@ class Demonstration:
         """Return the contract's JSON object."""
         statistics, trip = self._loop.parts.statistics, self._axis_loop.axis.trip
         scores = [self._score(index) for index in range(len(self._moves))]
+        law = law_status(self._axis_loop.axis).to_json()
         return {
             "target": self._target,
             **(scores[0] if scores else dict.fromkeys(_FIGURES)),
@@ -254,7 +255,7 @@ class Demonstration:
             },
             "trip": None if trip is None else {"code": trip.code, "cause": trip.cause, "next_action": trip.next_action},
             "failure": self.failure,
-            "law": law_status(self._axis_loop.axis).to_json(),
+            "law": {name: value for name, value in law.items() if name != "file_error"},  # it keeps no file
             "moves": [{"target": move.target, **score} for move, score in zip(self._moves, scores, strict=True)],
             "trace_sha256": self._frames.hexdigest(),
         }
