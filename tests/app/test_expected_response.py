@@ -61,6 +61,7 @@ def test_off_its_model_a_plant_responds_as_the_demo_finds_it(capsys: pytest.Capt
     assert response.peak_velocity == pytest.approx(found["peak_velocity"], rel=0.002)
 
 
+@pytest.mark.long
 def test_the_worst_of_an_uncertainty_is_that_of_its_corners() -> None:
     parts = axis()
     expected = expect(*parts, MOVE, 0.3)
@@ -125,6 +126,7 @@ def test_an_axis_that_has_to_be_homed_is_taken_for_homed(tmp_path: Path) -> None
     assert respond(*axis("axis.homing.required=true"), MOVE) == respond(*axis(), MOVE)
 
 
+@pytest.mark.long
 def test_a_trace_is_a_move_tick_by_tick() -> None:
     parts = axis()
     response, points = trace(*parts, MOVE)

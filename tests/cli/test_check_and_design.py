@@ -215,6 +215,7 @@ def test_a_plot_of_an_unknown_kind_or_in_no_folder_is_refused(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.long
 def test_the_expected_response_is_shown_and_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["design", "--uncertainty", "20", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
@@ -232,6 +233,7 @@ def test_the_expected_response_is_shown_and_told(capsys: pytest.CaptureFixture[s
     assert "% off" not in out
 
 
+@pytest.mark.long
 def test_the_margins_are_those_of_the_position_stage(capsys: pytest.CaptureFixture[str]) -> None:
     """Independent figures of both laws on this axis: Ms 1.25 and 1.99, 21 and 2.04 ticks, 2.05 and 0.148 mm a volt."""
     for law, expected in (("paper", (1.25, 21.0, 2.05)), ("adaptive", (1.99, 2.04, 0.148))):
@@ -260,6 +262,7 @@ def test_an_impossible_move_or_uncertainty_is_refused(
     assert json.loads(capsys.readouterr().out)["error"]["code"] == code
 
 
+@pytest.mark.long
 def test_check_tells_what_the_configured_and_the_fastest_move_come_to(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["check", "--json", "--uncertainty", "20"]) == 0
     usual, fastest = json.loads(capsys.readouterr().out)["response"]
