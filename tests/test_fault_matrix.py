@@ -50,6 +50,7 @@ def test_a_share_is_the_same_again_and_another_with_another_text() -> None:
     assert together == set(cells)
 
 
+@pytest.mark.long
 def test_a_share_runs_those_cells_and_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tools.faults.matrix.SHARE", 0.01)
     ran = run(Path("config/socketcan.toml"), "a1b2")

@@ -118,6 +118,7 @@ def test_a_kind_has_the_plant_that_it_was_made_for(kind: Kind) -> None:
     assert (keys["axis.plant.gain"], keys["axis.plant.pole"]) == pytest.approx(plant[kind.name])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
 def test_check_accepts_each_kind_on_each_tick(kind: Kind) -> None:
     for one, tick_ms, gate, same_loop in variants():
@@ -126,6 +127,7 @@ def test_check_accepts_each_kind_on_each_tick(kind: Kind) -> None:
             configuration(kind, tick_ms, gate, *quiet, same_loop=same_loop).check()
 
 
+@pytest.mark.long
 def test_an_episode_draws_among_all_kinds_and_gates() -> None:
     names = [drawn_by(seed)[0].name for seed in range(200)]
     assert all(any(name.startswith(kind.name) for name in names) for kind in KINDS)

@@ -133,6 +133,7 @@ def cyclic(ages: list[float]) -> CyclicDrive:
     return rig
 
 
+@pytest.mark.long
 @settings(max_examples=25, deadline=None)
 @given(ages=st.lists(st.floats(0.0005, 0.0095), min_size=1, max_size=40), velocity=st.floats(20.0, 250.0))
 def test_a_whole_move_with_samples_of_any_age_trips_nothing(ages: list[float], velocity: float) -> None:

@@ -37,6 +37,7 @@ class DatedRig(AxisRig):
     answer = 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rig_class", [AxisRig, DatedRig])
 @pytest.mark.parametrize("missed", [2, 5])
 def test_a_gap_on_a_plant_that_is_off_its_model_is_no_jump_of_the_encoder(

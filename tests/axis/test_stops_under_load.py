@@ -85,6 +85,7 @@ def comes_to_rest(rig: LoadedRig) -> bool:
     return False
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("missing", [0.0, 0.15])
 @pytest.mark.parametrize("dated", [False, True])
 def test_a_quick_stop_near_rest_does_not_kick_the_axis(*, dated: bool, missing: float) -> None:

@@ -194,6 +194,7 @@ def test_check_says_how_long_a_service_manager_has_to_wait(
     assert (f"may take {asked_s:.3g} s to end" in capsys.readouterr().out) is (asked_s > 15.0)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "begins"), [("loops.png", b"\x89PNG\r\n"), ("loops.svg", b"<?xml")])
 def test_the_loops_are_drawn_by_the_files_ending(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, begins: bytes

@@ -125,6 +125,7 @@ def paths(node: Any, path: Path = ()) -> Iterator[Path]:
         yield from paths(entry, (*path, part))
 
 
+@pytest.mark.long
 @settings(max_examples=300, deadline=None)
 @given(written())
 def test_every_key_that_tomllib_yields_is_found_on_the_line_that_defines_it(

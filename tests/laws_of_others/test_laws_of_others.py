@@ -165,6 +165,7 @@ def test_a_built_in_law_is_declared_as_any_other(name: str, law: LawType) -> Non
     assert point.load() is registry.LAWS.get(name) is law
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("cascade")
 def test_the_fault_campaign_holds_it_to_the_bounds_of_the_papers_law(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = run(capsys, "faults", "--simulated", "--fault", "1", "--phase", "idle", "--json", "--set", OTHER)

@@ -52,6 +52,7 @@ def most(world: World) -> int:
     return world.axis_loop.bus.link.settings.frames_read(world.service.ticks.period_s)
 
 
+@pytest.mark.long
 @EVERY_BUS
 def test_a_held_axis_does_not_swing_on_feedback_that_waits_behind_foreign_frames(bus, opener) -> None:  # type: ignore[no-untyped-def]
     async def script(world: World) -> None:

@@ -198,6 +198,7 @@ def test_a_stop_that_was_read_is_carried_out_though_its_connection_has_to_make_r
     serve(path, script)
 
 
+@pytest.mark.long
 @settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 2**32))
 def test_whatever_clients_do_the_budget_holds_and_nothing_is_left(tmp_path: Path, seed: int) -> None:

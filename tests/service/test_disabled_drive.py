@@ -423,6 +423,7 @@ TICKS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("tick_ms", "heartbeat_ms", "bit"),
     [*((tick_ms, heartbeat_ms, True) for tick_ms in TICKS for heartbeat_ms in (5.0, 290.0)), (10.0, 100.0, False)],

@@ -105,6 +105,7 @@ def edited(file: Path, **changed: Any) -> None:
     file.write_text(json.dumps(document), "utf-8")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("distance", "velocity", "gained"), [(400.0, 100.0, 0), (5.0, 200.0, 2)])
 def test_the_first_move_after_a_restart_is_as_good_as_the_third_before_it(
     tmp_path: Path, distance: float, velocity: float, gained: int

@@ -25,6 +25,7 @@ def told(status: dict[str, Any]) -> tuple[str, float, float]:
     return status["move"]["outcome"], status["axis"]["override_percent"], status["axis"]["target"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", LAWS)
 def test_a_move_is_slowed_down_held_and_goes_on_to_its_set_point(path: Path, law: str) -> None:
     async def script(world: World, _: ControlSocket) -> None:

@@ -46,6 +46,7 @@ def test_before_a_plant_is_known_the_margins_are_wide() -> None:
         assert max(abs(pole) for pole in loop.poles) < 1.0
 
 
+@pytest.mark.long
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.05, 4.0), st.floats(5.0, 250.0))
 def test_a_move_takes_as_long_as_is_computed(time_s: float, velocity: float) -> None:

@@ -132,6 +132,7 @@ def test_any_move_arrives_and_stays(time_s: float, velocity: float, direction: f
     assert rig.law.changeovers == 1
 
 
+@pytest.mark.long
 @settings(max_examples=60, deadline=None)
 @given(
     st.lists(st.tuples(st.floats(-800.0, 800.0), st.floats(5.0, 250.0), st.integers(1, 120)), min_size=2, max_size=6),
