@@ -16,11 +16,11 @@ from twostage_servo.app.expected_response import (
     corner_moves,
     expect,
     respond,
-    tight_limit,
     trace,
     traces,
     worst_of,
 )
+from twostage_servo.app.tight_limit import tight_limit
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.trips import TripCode
@@ -183,3 +183,11 @@ def test_a_move_without_a_trip_breaks_no_limit() -> None:
     parts = axis()
     response = respond(*parts, MOVE)
     assert tight_limit(*parts, Expectation(MOVE, 4.0, response, response)) is None
+
+
+def test_a_trip_that_is_about_no_limit_names_none() -> None:
+    parts = axis()
+    tripped = Response(None, 0.0, 90.0, 24.0, TripCode.NOT_FINITE)
+    tight = tight_limit(*parts, Expectation(MOVE, 4.0, tripped, tripped))
+    assert tight is not None
+    assert (tight.key, tight.value, tight.enough) == (None, None, None)

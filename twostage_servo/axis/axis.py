@@ -76,7 +76,7 @@ class Axis:
     raise_trip, end_braking
         As :meth:`.TripLatch.raise_trip` and :meth:`.DrivenStep.end_braking`.
     recall
-        As :meth:`.Motion.recall`, while the axis is disarmed.
+        As :meth:`.LearnedPlant.recall`, while the axis is disarmed.
     estimate
         Position, velocity and disturbance of the axis as its law takes them to be now.
     nominal
@@ -125,7 +125,7 @@ class Axis:
         self.accept_feedback, self.record_heartbeat = watch.accept_feedback, watch.record_heartbeat
         self.record_foreign_command = watch.record_foreign_command
         self.raise_trip, self.end_braking = latch.raise_trip, driven.end_braking
-        self.recall = motion.recall
+        self.recall = motion.plant.recall
         # What it tells, as long as it lives.
         self.estimate: Estimate = motion.law.observer
         self.nominal: Estimate = motion.nominal.observer
@@ -237,12 +237,12 @@ class Axis:
     @property
     def learned(self) -> Learned | None:
         """What the law has found out of its plant; None of a law that learns nothing."""
-        return self.motion.learned
+        return self.motion.plant.learned
 
     @property
     def times_forgotten(self) -> int:
         """How often a trip or an operator has made the law forget that."""
-        return self.motion.times_forgotten
+        return self.motion.plant.times_forgotten
 
     @property
     def effort(self) -> float:

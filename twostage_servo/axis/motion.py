@@ -6,13 +6,13 @@ from collections import deque
 from twostage_servo.axis.braking_estimate import BrakingEstimate
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
+from twostage_servo.axis.learned_plant import LearnedPlant
 from twostage_servo.axis.sample_date import SampleDate
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
 from twostage_servo.axis.tracking import Tracking
-from twostage_servo.control.laws.law import Learned, LearningLaw, Stage
+from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.per_time import kept_in
-from twostage_servo.control.plant import Plant  # noqa: TC001 - the class of an attribute
 
 IMPLAUSIBLE_SAMPLES = 2
 """Samples in a row beyond the innovation gate that are a fault: one is a spike, two are not."""
@@ -65,17 +65,14 @@ class Motion:
         Whether the plant answers the effort as the model says.
     unchanged_effort
         By how much the effort (effort unit) has changed since the encoder last showed another position.
-    times_forgotten
-        How often :meth:`forget_plant` was called.
+    plant
+        What the law has found out of the plant.
     """
 
     def __init__(self, design: AxisDesign, drive: DriveReport, resolution: float) -> None:
         self.law = design.build_law()
         self.nominal = design.build_nominal_law()
-        self._learner = self.law if isinstance(self.law, LearningLaw) and self.law.learns else None
-        self._identified: Plant | None = None  # as the model monitor has it
-        self._keeps_learned = design.settings.law.memory != "none"
-        self.times_forgotten = 0
+        self.plant = LearnedPlant(design, self.law)
         self.predicted = 0
         self.implausible_distance = 0.0
         self.model_monitor = design.build_model_monitor()
@@ -212,8 +209,7 @@ class Motion:
             shown = self._drive.position
             assert shown is not None  # noqa: S101 - the sample is made from it
             self.model_monitor.update(shown, before, self.law.observer, self._speed_of_late, self._date.lag_s)
-        if self._learner is not None and self._learner.identified is not self._identified:
-            self._accept_identified(self._learner)
+        self.plant.tell(self.model_monitor)
         if sample is not None:
             self._compare_with_the_last()
         self._record_load()
@@ -282,39 +278,6 @@ class Motion:
         """How far apart the samples of the last stall time lie, in axis unit; infinity while there are not enough."""
         recent = self._recent
         return max(recent) - min(recent) if len(recent) == recent.maxlen else math.inf
-
-    @property
-    def learned(self) -> Learned | None:
-        """What the law has found out of the plant; None of a law that learns nothing."""
-        return None if self._learner is None else self._learner.learned
-
-    def _accept_identified(self, learner: LearningLaw) -> None:
-        """Let the model monitor accept what the law has identified, from the estimate that goes with it.
-
-        The plant is bounded, and stays as it was found: what the encoder does from here on is compared with it.
-        """
-        self._identified = learner.identified
-        if self._identified is None:
-            self.model_monitor.forget_identified()
-        else:
-            is_late = learner.learned.delay_ticks > 0
-            self.model_monitor.accept(self._identified, learner.plant_estimate, is_late=is_late)
-
-    def forget_plant(self) -> None:
-        """Forget what the law has found out of the plant: a fault may have been taken for it."""
-        self.times_forgotten += 1
-        if self._learner is not None:
-            self._learner.forget()
-
-    def forget_former_moves(self) -> None:
-        """Begin a move with the configured plant, unless what other moves have shown is kept."""
-        if self._learner is not None and not self._keeps_learned:
-            self._learner.forget()
-
-    def recall(self, learned: Learned) -> None:
-        """Go on from what was learned before; see :meth:`~twostage_servo.control.laws.law.LearningLaw.recall`."""
-        if self._learner is not None:
-            self._learner.recall(learned)
 
     def lose_track(self) -> None:
         """Start the observer afresh at the next sample: what it holds is not to be built on."""

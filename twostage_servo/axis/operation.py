@@ -112,7 +112,7 @@ class Operation:
         self._heading = target - self._motion.law.observer.position
         is_under_way = self._machine.state in COMMANDED
         if not is_under_way:
-            self._motion.forget_former_moves()
+            self._motion.plant.forget_former_moves()
         self.override.set_out(Leg(target, velocity, self._limit if largest is None else largest))
         if is_under_way:
             self._supervision.change_move()
@@ -155,7 +155,7 @@ class Operation:
     def begin_homing(self) -> None:
         """Begin to look for the reference."""
         homing = self._design.settings.homing
-        self._motion.forget_former_moves()
+        self._motion.plant.forget_former_moves()
         self.homing = Homing(self._design, self._motion, self._drive)
         self._supervision.begin_move()
         self._machine.apply(Event.HOME)

@@ -306,7 +306,7 @@ class Requests:
             As in :meth:`check_forget`.
         """
         self.check_forget()
-        self._motion.forget_plant()
+        self._motion.plant.forget()
 
     def check_forget(self) -> None:
         """Tell whether the law could forget.
@@ -316,7 +316,7 @@ class Requests:
         Refused
             If the law learns nothing, or the axis moves: in mid-move it would go on by another plant.
         """
-        if self._motion.learned is None:
+        if self._motion.plant.learned is None:
             law = self._settings.law.type
             raise Refused(
                 RefusalCode.LEARNS_NOTHING,

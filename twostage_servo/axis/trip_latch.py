@@ -96,7 +96,7 @@ class TripLatch:
             return
         else:
             self.escalation = trip
-        self._motion.forget_plant()
+        self._motion.plant.forget()
         before = machine.state
         machine.apply(event)
         self._operation.end_move(MoveOutcome.TRIPPED, trip.cause)

@@ -12,7 +12,8 @@ from twostage_servo.cli.typed_numbers import decimal
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from twostage_servo.app.expected_response import Expectation, TightLimit
+    from twostage_servo.app.expected_response import Expectation
+    from twostage_servo.app.tight_limit import TightLimit
     from twostage_servo.axis.design import AxisDesign
     from twostage_servo.config.errors import ConfigError
     from twostage_servo.config.loader import Config, LoadedConfig
@@ -164,14 +165,16 @@ def _moves(loaded: "LoadedConfig[Config]", axis_loop: "AxisLoop", uncertainty: f
     ConfigError
         If a limit ends the configured move even on the plant of the model.
     """
-    from twostage_servo.app.expected_response import configured_move, expect, tight_limit
+    from twostage_servo.app.expected_response import configured_move, expect
+    from twostage_servo.app.tight_limit import tight_limit
 
     design, traits = axis_loop.axis.design, axis_loop.drive.traits
     axis = design.settings
     usual, fastest = (configured_move(axis, velocity) for velocity in (axis.cruise_velocity, axis.limits.velocity))
     found = [expect(design, traits, move, uncertainty / 100.0) for move in dict.fromkeys((usual, fastest))]
     if (tight := tight_limit(design, traits, found[0])) is not None:
-        raise loaded.problem(("axis", "limits", tight.key), f"{_ends(tight, axis.unit)}: {_remedy(tight)}")
+        place = ("axis", "limits") if tight.key is None else ("axis", "limits", tight.key)
+        raise loaded.problem(place, f"{_ends(tight, axis.unit)}: {_remedy(tight)}")
     return found
 
 
@@ -201,13 +204,13 @@ def _notes(config: "Config", period_s: float) -> "Iterator[str]":
 
 def _notes_of_moves(axis_loop: "AxisLoop", moves: "list[Expectation]") -> "Iterator[str]":
     """Yield the limits that end a move on the plant of the model."""
-    from twostage_servo.app.expected_response import tight_limit
+    from twostage_servo.app.tight_limit import tight_limit
 
     design = axis_loop.axis.design
     for move in moves:
         if (tight := tight_limit(design, axis_loop.drive.traits, move)) is not None:
-            limit = f"axis.limits.{tight.key} is {tight.value:g}"
-            yield f"{_ends(tight, design.settings.unit)}; {limit}, {_remedy(tight)}"
+            limit = "" if tight.key is None else f"axis.limits.{tight.key} is {tight.value:g}, "
+            yield f"{_ends(tight, design.settings.unit)}; {limit}{_remedy(tight)}"
 
 
 def _sentence(summary: dict[str, Any], lines: "list[str]") -> str:

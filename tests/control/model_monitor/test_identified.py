@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from tests.control.model_monitor.test_thresholds import NOISE, PERIOD_S, PLANT, at_rest
-from twostage_servo.control.model_monitor.hypotheses import slow_observer, slow_observer_like
+from twostage_servo.control.model_monitor.hypotheses import slow_observer
+from twostage_servo.control.model_monitor.identified_plant import slow_observer_like
 from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.plant import DiscretePlant, Plant, Triple
@@ -101,3 +102,15 @@ def test_an_identified_plant_moves_with_the_origin_and_begins_afresh_with_the_ot
     monitor.start(moved)
     monitor.update(7.0, 0.0, moved, 50.0)
     assert monitor.surprise == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_late_plant_begins_afresh_with_the_effort_that_has_acted() -> None:
+    monitor, model = ModelMonitor(PLANT, PERIOD_S, NOISE), at_rest(90.0)
+    effort = PLANT.cruise_effort(90.0)
+    monitor.accept(PLANT, model, is_late=True)
+    monitor.start(model, effort)
+    hypothesis = monitor._identified
+    sample = model.position
+    model.predict(effort)
+    assert hypothesis.update(sample, effort, 0.0) == pytest.approx(0.0, abs=1e-18)
+    assert hypothesis.update(model.position, effort, 0.0) == pytest.approx(0.0, abs=1e-18)

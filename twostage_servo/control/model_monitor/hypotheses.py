@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.per_time import NOMINAL_S, kept_in
-from twostage_servo.control.plant import DiscretePlant, Plant, Triple
+from twostage_servo.control.plant import Plant
 
 
 class Deviation(NamedTuple):
@@ -112,38 +112,6 @@ def slow_observer(plant: Plant, period_s: float, noise: NoiseModel) -> Disturban
     slower = NoiseModel((position, velocity, disturbance), noise.measurement_variance, noise.disturbance_memory)
     sampled = plant.discretise(period_s)
     return DisturbanceObserver(sampled, kalman_gain(sampled, slower).predictor, noise.disturbance_memory)
-
-
-def slow_observer_like(observer: DisturbanceObserver, plant: DiscretePlant, memory: float) -> DisturbanceObserver:
-    """Return an observer of another plant whose error dies down as that of an observer of the model does.
-
-    In closed form, in the tick in which the plant is found. The error's polynomial is ``D(z) = (z - m)(z - a22)(z - 1 +
-    L1) + a12 L2 (z - m) + (b1 (z - a22) + a12 b2) L3`` with the disturbance's memory m: L3 follows from its value at m,
-    L2 from that at a22, and L1 from the sum of its roots.
-
-    Parameters
-    ----------
-    observer
-        Of the model.
-    plant
-        The other plant, sampled.
-    memory
-        Of the disturbance, as in :class:`~twostage_servo.control.observer.NoiseModel`.
-    """
-
-    def at(plant: DiscretePlant, gain: Triple, z: float) -> float:
-        l1, l2, l3 = gain
-        return (
-            (z - memory) * (z - plant.a22) * (z - 1.0 + l1)
-            + plant.a12 * l2 * (z - memory)
-            + (plant.b1 * (z - plant.a22) + plant.a12 * plant.b2) * l3
-        )
-
-    model, gain = observer.plant, observer.gain
-    l3 = at(model, gain, memory) / (plant.b1 * (memory - plant.a22) + plant.a12 * plant.b2)
-    l2 = (at(model, gain, plant.a22) - plant.a12 * plant.b2 * l3) / (plant.a12 * (plant.a22 - memory))
-    l1 = gain[0] + plant.a22 - model.a22
-    return DisturbanceObserver(plant, (l1, l2, l3), memory)
 
 
 def deviating(model: Plant, deviation: Deviation, factor: float = 1.0) -> Plant:

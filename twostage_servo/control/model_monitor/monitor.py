@@ -33,8 +33,8 @@ from twostage_servo.control.model_monitor.hypotheses import (
     deviating,
     forgetting,
     slow_observer,
-    slow_observer_like,
 )
+from twostage_servo.control.model_monitor.identified_plant import IdentifiedPlant
 from twostage_servo.control.model_monitor.reversal import ReversalWatch
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel
 from twostage_servo.control.per_time import NOMINAL_S
@@ -90,46 +90,19 @@ class ModelMonitor:
     """
 
     __slots__ = (
-        "_accepted",
-        "_accepted_sums",
-        "_changes",
-        "_date_share_s",
-        "_forgetting",
-        "_gains",
-        "_identified",
-        "_innovation",
-        "_is_identified_late",
-        "_is_lasting",
-        "_last_effort",
-        "_late_effort",
-        "_least",
-        "_least_at_rest",
-        "_memory",
-        "_next",
-        "_noise_square",
-        "_origins",
-        "_period_s",
-        "_reversal",
-        "_samples",
-        "_still_sum",
-        "_sum",
-        "_sums",
-        "is_sure",
-        "surprise",
+        "_accepted", "_accepted_sums", "_changes", "_date_share_s", "_forgetting", "_gains", "_identified",
+        "_innovation", "_is_lasting", "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins",
+        "_reversal", "_samples", "_still_sum", "_sum", "_sums", "is_sure", "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
         self._forgetting = forgetting(period_s)
-        self._period_s = period_s
-        self._memory = noise.disturbance_memory
-        self._identified: DisturbanceObserver | None = None
-        self._is_identified_late = False
-        self._last_effort = 0.0
         self._late_effort = LateEffort(period_s)
         self._accepted = [
             (slow_observer(deviating(plant, deviation), period_s, noise), deviation.is_delayed)
             for deviation in ACCEPTED
         ]
+        self._identified = IdentifiedPlant(self._accepted[0][0], period_s, noise.disturbance_memory)
         self._gains = [
             slow_observer(deviating(plant, other.plant, other.factor), period_s, noise) for other in OTHER_GAINS
         ]
@@ -162,8 +135,7 @@ class ModelMonitor:
         """
         for observer, _ in self._accepted:
             observer.continue_from(model)
-        if self._identified is not None:
-            self._identified.continue_from(model)
+        self._identified.start(model, effort)
         for observer in self._gains:
             observer.continue_from(model)
         for change in self._changes:
@@ -187,14 +159,11 @@ class ModelMonitor:
         estimate
             Where it is by this plant, a tick after the last sample.
         """
-        model, _ = self._accepted[0]
-        observer = slow_observer_like(model, plant.discretise(self._period_s), self._memory)
-        observer.go_on_from(estimate.position, estimate.velocity, estimate.disturbance)
-        self._identified, self._is_identified_late = observer, is_late
+        self._identified.accept(plant, estimate, is_late=is_late)
 
     def forget_identified(self) -> None:
         """Accept no plant any more but those that the model allows."""
-        self._identified = None
+        self._identified.forget()
 
     def forget_gains(self, model: DisturbanceObserver) -> None:
         """Compare other gains from here on, from the estimate of the law's observer, as an axis sets out from rest.
@@ -211,8 +180,7 @@ class ModelMonitor:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
         for observer, _ in self._accepted:
             observer.shift(distance)
-        if self._identified is not None:
-            self._identified.shift(distance)
+        self._identified.shift(distance)
         for observer in self._gains:
             observer.shift(distance)
         for change in self._changes:
@@ -224,9 +192,7 @@ class ModelMonitor:
         late_effort = self._late_effort.delay(effort)
         for observer, is_delayed in self._accepted:
             observer.predict(late_effort if is_delayed else effort)
-        if self._identified is not None:
-            self._identified.predict(self._last_effort if self._is_identified_late else effort)
-        self._last_effort = effort
+        self._identified.predict(effort)
         for observer in self._gains:
             observer.predict(effort)
         for change in self._changes:
@@ -276,11 +242,7 @@ class ModelMonitor:
             sums[index] = kept * sums[index] + square
             if square < least_square:  # noqa: PLR1730 - `min` takes longer, ten times a tick
                 least_square = square
-        if (identified := self._identified) is not None:
-            acted = self._last_effort if self._is_identified_late else effort
-            identified.update(sample + identified.velocity * lag_s, acted)
-            least_square = min(least_square, identified.innovation * identified.innovation)
-        self._last_effort = effort
+        least_square = min(least_square, self._identified.update(sample, effort, lag_s))
         self._is_lasting = self.surprise > LASTING_SHARE * self._least
         self._sum = kept * self._sum + least_square
         self.surprise = self._sum**0.5
