@@ -276,3 +276,47 @@ def test_another_watch_goes_on_where_the_former_was() -> None:
     assert reason is not None
     assert "moved by +100 mm within 100 ms (longest silence: 70 ms)" in reason
     assert f"more than the {20.0 * (COASTS_S + DRIVEN_S) + GATE:.4g} mm" in reason
+
+
+# Samples that are older than others ----------------------------------------------------------------------------------
+
+
+def aged(watched: Watched, position: float, age_s: float, missed: int = 0) -> str | None:
+    return watched.watch.update(
+        missed, position, watched.speed, driven=watched.driven, homed=watched.homed,
+        counts_boots=watched.counts_boots, age_s=age_s,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("homed", [True, False])
+def test_the_time_since_an_old_sample_counts_from_its_own_date(*, homed: bool) -> None:
+    """The answer to the last command before 1 s in which the service stood still, and then what the drive says now."""
+    watched = Watched()
+    watched.homed = watched.counts_boots = watched.driven = homed
+    watched.speed = 100.0
+    for place in (0.0, 1.0):
+        assert aged(watched, place, 0.009) is None
+    assert aged(watched, 2.0, 0.999, missed=99) is None
+    allowed = 100.0 * (COASTS_S + DRIVEN_S) + GATE if homed else 101 * A_TICK + GATE
+    within = Watched()
+    within.watch.continue_from(watched.watch)
+    within.homed = within.counts_boots = homed
+    assert aged(within, 2.0 + allowed - 1e-6, 0.009) is None
+    assert within.watch.known.beyond == 0
+    assert aged(watched, 2.0 + 2.0 * allowed, 0.009) is None
+    reason = aged(watched, 2.0 + 2.0 * allowed, 0.009)
+    assert reason is not None
+    assert "within 1010 ms (longest silence: 1000 ms)" in reason
+
+
+def test_a_sample_without_a_date_is_as_old_as_the_one_before() -> None:
+    watched = Watched()
+    aged(watched, 0.0, 0.5)
+    assert "within 20 ms" in told_beyond(watched, 2.0 * A_TICK + GATE, 1)
+
+
+def test_a_sample_that_is_older_than_the_one_before_makes_no_bound_tighter() -> None:
+    watched = Watched()
+    aged(watched, 0.0, 0.0)
+    assert aged(watched, 2.0 * A_TICK, 0.5) is None
+    assert watched.watch.known.beyond == 0

@@ -35,19 +35,23 @@ _Result = TypeVar("_Result")
 
 
 class BusyTicks(Ticks):
-    """Ticks on a busy host: the next one is held up until so many seconds after this one."""
+    """Ticks on a busy host: the next one is held up for so many seconds, before its deadline or after it."""
 
-    __slots__ = ("hold_s",)
+    __slots__ = ("hold_s", "late_s")
 
     def __init__(self, period_s: float) -> None:
         super().__init__(period_s)
-        self.hold_s = 0.0
+        self.hold_s = self.late_s = 0.0
 
     async def __anext__(self) -> Tick:
         hold_s, self.hold_s = self.hold_s, 0.0
         if hold_s:
             await asyncio.sleep(hold_s)
-        return await super().__anext__()
+        tick = await super().__anext__()
+        late_s, self.late_s = self.late_s, 0.0
+        if late_s:
+            await asyncio.sleep(late_s)
+        return tick
 
 
 class World:

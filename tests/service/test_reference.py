@@ -72,6 +72,55 @@ def test_a_drive_that_was_off_is_never_taken_for_the_one_before(doing: str, off_
     simulate(script, REQUIRED, *(NO_HEARTBEAT if told_by == "no heartbeat" else ()))
 
 
+def suspend(world: World, stage: str, suspended_s: float) -> None:
+    """Let the service stand still between two ticks, or in the next one before it reads."""
+    if stage == "between two ticks":
+        world.ticks.hold_s = suspended_s
+    else:
+        world.ticks.late_s = suspended_s
+
+
+@pytest.mark.parametrize("stage", ["between two ticks", "in a tick"])
+@pytest.mark.parametrize("suspended_s", [0.05, 0.2, 1.0, 5.0])
+@pytest.mark.parametrize("velocity", [20.0, 100.0, 250.0])
+def test_a_service_that_was_suspended_in_a_move_keeps_its_reference_where_the_axis_only_coasted(
+    stage: str, suspended_s: float, velocity: float
+) -> None:
+    """The first sample after it may answer the last command before it; the drive's own time-out has ended the move."""
+
+    async def script(world: World) -> None:
+        await at_its_place(world, "holding")
+        world.axis.move_to(2.0 * PLACE, velocity)
+        await world.seconds(0.7)
+        suspend(world, stage, suspended_s)
+        await world.seconds(suspended_s + 1.5)
+        assert world.state() is State.TRIPPED
+        assert world.axis.reference.lost_because == ""
+        assert world.axis.reference.source is ReferenceSource.HOMED
+        assert world.axis.drive.position == pytest.approx(world.drive.position, abs=0.01)
+
+    simulate(script, REQUIRED)
+
+
+@pytest.mark.parametrize("stage", ["between two ticks", "in a tick"])
+@pytest.mark.parametrize("suspended_s", [0.05, 1.0])
+@pytest.mark.parametrize("off_s", [0.015, 0.2])
+@pytest.mark.parametrize("told_by", ["a boot counter", "an old boot counter", "no heartbeat"])
+def test_a_drive_that_was_off_while_the_service_was_suspended_is_not_taken_for_the_one_before(
+    stage: str, suspended_s: float, off_s: float, told_by: str
+) -> None:
+    async def script(world: World) -> None:
+        await at_its_place(world, "moving")
+        suspend(world, stage, suspended_s)
+        await world.seconds(0.03)
+        world.drive.reboot(asyncio.get_running_loop().time(), off_s, counts=told_by == "a boot counter")
+        await world.seconds(suspended_s + off_s + 1.5)
+        assert world.axis.reference.source is None
+        await never_moves_wrongly(world, world.drive.position)
+
+    simulate(script, REQUIRED, *(NO_HEARTBEAT if told_by == "no heartbeat" else ()))
+
+
 @pytest.mark.parametrize("heartbeat", [True, False])
 @pytest.mark.parametrize("restarted", [True, False])
 @pytest.mark.parametrize("away_s", [0.0, 0.4])

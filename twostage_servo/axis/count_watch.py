@@ -8,6 +8,9 @@ A drive that was switched off and on counts anew, and its encoder may then show 
 
 The last two concern axes that were homed: where positions are the encoder's own count, it is taken for one that keeps
 its count. A silence is long when an armed axis trips by it in any case.
+
+The time between two samples is that between their dates. The first sample after a suspension of the service may answer
+the last command before it, and is then as old as that: the time until the next one includes the suspension.
 """
 
 from collections.abc import Callable
@@ -32,10 +35,14 @@ class CountHistory:
         For how long the axis may go on at `speed` without being seen, in s.
     place
         The last sample that was believed, in axis unit; None before the first.
+    place_age_s
+        How old it was when it was read, in s.
     ticks
-        Ticks since then.
+        Ticks since it was read.
+    age_s
+        How old the last sample was when it was read, in s.
     silent_ticks
-        Ticks since the last sample.
+        Ticks since it was read.
     longest_silence
         The longest time without a sample since the one that was believed, in ticks.
     beyond
@@ -48,7 +55,9 @@ class CountHistory:
 
     range_s: float
     place: float | None = None
+    place_age_s: float = 0.0
     ticks: int = 0
+    age_s: float = 0.0
     silent_ticks: int = 0
     longest_silence: int = 0
     beyond: int = 0
@@ -86,7 +95,15 @@ class CountWatch:
         self.known = CountHistory(range_s=design.coasting_s)
 
     def update(
-        self, missed: int, position: float | None, speed: float, *, driven: bool, homed: bool, counts_boots: bool
+        self,
+        missed: int,
+        position: float | None,
+        speed: float,
+        *,
+        driven: bool,
+        homed: bool,
+        counts_boots: bool,
+        age_s: float | None = None,
     ) -> str | None:
         """Check a tick.
 
@@ -104,6 +121,8 @@ class CountWatch:
             Whether positions count from a place that was found or told.
         counts_boots
             Whether the drive has a boot counter, and has told it before.
+        age_s
+            How long before the tick the sample was taken, in s; None: as long as the one before it.
 
         Returns
         -------
@@ -116,11 +135,14 @@ class CountWatch:
         reason = self._check_silence(homed=homed, counts_boots=counts_boots)
         if position is None:
             return reason
-        known.longest_silence = max(known.longest_silence, known.silent_ticks)
-        reason = self._check_count(position, homed=homed) or reason
+        age_s = known.age_s if age_s is None else age_s
+        silence = known.silent_ticks + self._ticks_older(known.age_s, age_s)
+        known.longest_silence = max(known.longest_silence, silence)
+        ticks = known.ticks + self._ticks_older(known.place_age_s, age_s)
+        reason = self._check_count(position, ticks, homed=homed) or reason
         if not known.beyond:
-            self._believe(position, speed, driven=driven)
-        known.silent_ticks = 0
+            self._believe(position, ticks, age_s, speed, driven=driven)
+        known.silent_ticks, known.age_s = 0, age_s
         return reason
 
     def restart(self) -> None:
@@ -156,12 +178,20 @@ class CountWatch:
             "lost its count, and has no boot counter to prove otherwise"
         )
 
-    def _check_count(self, position: float, *, homed: bool) -> str | None:
+    def _ticks_older(self, before_s: float, now_s: float) -> int:
+        """Return by how many ticks a sample before was older than the one of now; 0 where it was younger.
+
+        Of two samples such as these the time between them is less, and that of the ticks is allowed for.
+        """
+        return max(0, round((before_s - now_s) / self._design.period_s))
+
+    def _check_count(self, position: float, ticks: int, *, homed: bool) -> str | None:
+        """Check a sample that was taken so many ticks after the one that was believed."""
         known = self.known
         if known.place is None:
             return None
         moved = self._distance(known.place, position)
-        unseen_s = (known.ticks + _JITTER_TICKS) * self._design.period_s
+        unseen_s = (ticks + _JITTER_TICKS) * self._design.period_s
         allowed, by = unseen_s * self._design.settings.limits.overspeed, "axis.limits.overspeed allows"
         if homed and known.longest_silence > self._long_silence and known.speed * known.range_s < allowed:
             allowed, by = known.speed * known.range_s, "a coasting axis can move"
@@ -172,19 +202,20 @@ class CountWatch:
         known.beyond = 0
         unit = self._design.settings.unit
         return (
-            f"the encoder's count moved by {moved:+.4g} {unit} within {self._ms(known.ticks)} ms (longest silence: "
+            f"the encoder's count moved by {moved:+.4g} {unit} within {self._ms(ticks)} ms (longest silence: "
             f"{self._ms(known.longest_silence)} ms), more than the {allowed:.4g} {unit} that {by}: the drive may have "
             "been switched off and on and have lost its count, or the axis was moved unobserved"
         )
 
-    def _believe(self, position: float, speed: float, *, driven: bool) -> None:
-        shown = 0.0
-        if self.known.place is not None:
-            shown = abs(self._distance(self.known.place, position)) / (self.known.ticks * self._design.period_s)
-        self.known.speed = min(max(speed, shown), self._design.settings.limits.overspeed)
-        self.known.range_s = self._design.coasting_s + (self._driven_s if driven else 0.0)
-        self.known.place = position
-        self.known.ticks = self.known.longest_silence = 0
+    def _believe(self, position: float, ticks: int, age_s: float, speed: float, *, driven: bool) -> None:
+        known, range_s, shown = self.known, self._design.coasting_s + (self._driven_s if driven else 0.0), 0.0
+        if known.place is not None:
+            shown = abs(self._distance(known.place, position)) / (ticks * self._design.period_s)
+        speed = min(max(speed, shown), self._design.settings.limits.overspeed)
+        if self._ticks_older(age_s, known.place_age_s):  # it was taken long before the speed that is known now
+            speed = max(speed, known.speed)
+        known.place, known.place_age_s, known.speed, known.range_s = position, age_s, speed, range_s
+        known.ticks = known.longest_silence = 0
 
     def _ms(self, ticks: int) -> str:
         return f"{1e3 * self._design.period_s * ticks:g}"

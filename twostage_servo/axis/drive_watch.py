@@ -33,7 +33,10 @@ class DriveWatch:
         Where the axis trips.
     """
 
-    __slots__ = ("_count", "_disabled", "_drive", "_hazards", "_latch", "_machine", "_missed", "_motion", "_reference")
+    __slots__ = (
+        "_count", "_disabled", "_drive", "_hazards", "_latch", "_machine", "_missed", "_motion", "_reference",
+        "_was_enabled",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -55,10 +58,12 @@ class DriveWatch:
         self._hazards = hazards
         self._latch = latch
         self._missed = 0
+        self._was_enabled = False
 
     def begin_tick(self, missed: int) -> None:
         """Open a tick, before which so many were missed."""
         self._missed = missed
+        self._was_enabled = self._machine.state in ENABLED
 
     def accept_feedback(self, feedback: Feedback, reception: Reception = IN_TIME) -> None:
         """Accept one decoded feedback frame; the newest of a tick counts."""
@@ -126,9 +131,11 @@ class DriveWatch:
             self._missed,
             self._drive.position if self._drive.fresh else None,
             speed,
-            driven=state in ENABLED,
+            # What disables the drive in this tick comes after its sample, and leaves late if the service is held up.
+            driven=self._was_enabled or state in ENABLED,
             homed=self._reference.is_homed,
             counts_boots=self._drive.counts_boots,
+            age_s=self._drive.age_s,
         )
         if reason is None:
             return
