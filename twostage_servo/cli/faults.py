@@ -48,11 +48,12 @@ def _faults(options: argparse.Namespace) -> ExitCode:
         raise CommandError(ExitCode.USAGE, "usage", f"--seed {options.seed}: must be from 0 to 2^63 - 1")
     path = find_configuration(options.config)
     progress = Progress(quiet=options.json)
-    missed = 0
+    missed, reported, interrupted = 0, "no cell done", False
 
     def report(cell: "Cell", done: int, total: int) -> None:
-        nonlocal missed
+        nonlocal missed, reported
         missed += not cell.met
+        reported = f"{done} of {total} cells done, {missed} missed"
         progress.show(f"{bar(done / total)} {done} of {total}, {missed} missed: {cell.fault} {cell.name}, {cell.phase}")
 
     try:
@@ -68,8 +69,13 @@ def _faults(options: argparse.Namespace) -> ExitCode:
         raise CommandError(
             ExitCode.FAILED, "not_operable", f"{error}. `demo --fast` with this configuration shows the same move."
         ) from error
+    except KeyboardInterrupt:
+        interrupted = True
+        raise
     finally:
         progress.end()
+        if interrupted:
+            note(f"twostage-servo faults: interrupted, {reported}")
     if not result.cells and not result.not_applicable:
         raise CommandError(
             ExitCode.USAGE, "usage", "there is no such fault, or not in this phase: see the list in docs/faults.md"

@@ -7,6 +7,7 @@ import json
 import select
 import socket
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -17,7 +18,7 @@ from typing import Self
 from twostage_servo.canbus.link import LinkError
 from twostage_servo.config.loader import Config, LoadedConfig, load
 from twostage_servo.faults.frames import compile_profile
-from twostage_servo.faults.launch import LONGEST_S, Child
+from twostage_servo.faults.launch import LONGEST_S, Child, GivenUpError
 from twostage_servo.faults.listening import Listener, Operator, Snapshot
 
 _GLANCE_S = 0.005
@@ -41,6 +42,8 @@ class Bench:
         ``KEY=VALUE`` arguments that belong to it.
     environment
         Of the service, beside its folder's path.
+    given_up
+        Is set where nobody wants the result any more: each wait then ends.
 
     Attributes
     ----------
@@ -57,6 +60,7 @@ class Bench:
         path: Path | None,
         overrides: Sequence[str],
         environment: Callable[[Path], Mapping[str, str]] = lambda _: {},
+        given_up: threading.Event | None = None,
     ) -> None:
         self.drive: Child
         self.service: Child
@@ -66,6 +70,7 @@ class Bench:
         self._path = path
         self._overrides = list(overrides)
         self._environment = environment
+        self._given_up = given_up or threading.Event()
         self._stack = ExitStack()
         self._services = 0
         self._hear: Callable[[], None] = lambda: None
@@ -150,7 +155,17 @@ class Bench:
             select.select([self.operator], [], [], _GLANCE_S)
 
     def read_frames(self) -> None:
-        """Read the frames that have arrived on the bus."""
+        """Read the frames that have arrived on the bus; every wait does so again and again.
+
+        Raises
+        ------
+        BenchError
+            If the bus is gone.
+        GivenUpError
+            If nobody wants the result any more.
+        """
+        if self._given_up.is_set():
+            raise GivenUpError
         try:
             self._hear()
         except LinkError as error:

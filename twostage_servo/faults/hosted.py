@@ -1,6 +1,7 @@
 """One run of a fault that needs real processes: what is done to the service, and what its drive makes of it."""
 
 import signal
+import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -36,12 +37,15 @@ class HostedRun:
         What begins, and when.
     random
         Of the length of the move, and of the moment of the fault.
+    given_up
+        Is set where nobody wants the result any more.
     """
 
-    def __init__(self, fault: int, phase: Phase, random: Random) -> None:
+    def __init__(self, fault: int, phase: Phase, random: Random, given_up: threading.Event | None = None) -> None:
         self._fault = fault
         self._phase = phase
         self._random = random
+        self._given_up = given_up
         self._bench: Bench
         self._watchdog: Watchdog
         self._design: AxisDesign
@@ -73,7 +77,7 @@ class HostedRun:
                 self._watchdog = stack.enter_context(Watchdog(folder / "notify", WATCHDOG_S))
                 return self._watchdog.environment
 
-            self._bench = bench = stack.enter_context(Bench(config, overrides, environment))
+            self._bench = bench = stack.enter_context(Bench(config, overrides, environment, self._given_up))
             self._design = design(bench.loaded)
             before = Approach(bench, self._design, self._phase, self._random).make()
             self._fault_s = time.monotonic()

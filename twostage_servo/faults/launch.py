@@ -20,6 +20,10 @@ _NOT_INHERITED = frozenset({"NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "J
 """Between the service manager and the campaign's own process."""
 
 
+class GivenUpError(Exception):
+    """The campaign was interrupted: nobody wants the result any more."""
+
+
 class Child(subprocess.Popen[bytes]):
     """A module of this package in a process group of its own; what it prints is kept in a folder.
 

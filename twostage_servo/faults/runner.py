@@ -1,8 +1,8 @@
 """Runs a whole campaign on the processor's cores, cell by cell."""
 
 import concurrent.futures
-import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ from twostage_servo.faults.configuration import ConfigurationFaults
 from twostage_servo.faults.phase import Phase
 from twostage_servo.faults.table import PROCESS_FAULTS, TABLE
 from twostage_servo.service.log import open_log
-from twostage_servo.worker_process import end_with_parent
+from twostage_servo.worker_process import InterruptibleProcesses
 
 CONFIGURATION_FAULTS = (47, 48)
 
@@ -164,8 +164,7 @@ def _run_simulated(
 ) -> Iterator[Cell]:
     """Run cells on the processor's cores, each core with the moves without a fault that it needs."""
     workers = max(1, min(os.cpu_count() or 1, len(tasks)))
-    context = multiprocessing.get_context("spawn")
-    with concurrent.futures.ProcessPoolExecutor(workers, context, _begin, (path, tuple(overrides), seed)) as pool:
+    with InterruptibleProcesses(workers, _begin, (path, tuple(overrides), seed)) as pool:
         for done in concurrent.futures.as_completed([pool.submit(_run, *task) for task in tasks]):
             yield done.result()
 
@@ -186,19 +185,20 @@ def _run_hosted(
         return
     from twostage_servo.faults.processes import run_hosted  # noqa: PLC0415
 
+    given_up = threading.Event()
     with concurrent.futures.ThreadPoolExecutor(2 * (os.cpu_count() or 1)) as pool:
-        futures = [pool.submit(run_hosted, fault, phase, path, overrides, seed) for fault, phase in tasks]
+        futures = [pool.submit(run_hosted, fault, phase, path, overrides, seed, given_up) for fault, phase in tasks]
         try:
             for done in concurrent.futures.as_completed(futures):
                 yield done.result()
-        except BaseException:  # an error, or Ctrl-C: what has not begun shall not begin
+        except BaseException:  # an error, or Ctrl-C: what has begun ends, and what has not shall not begin
+            given_up.set()
             pool.shutdown(cancel_futures=True)
             raise
 
 
 def _begin(path: Path | None, overrides: Sequence[str], seed: int) -> None:
     """Prepare a worker: its axes are designed once, and its service's log goes nowhere."""
-    end_with_parent()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     machine = load_machine(path, overrides)
     for loaded in machine.axes:
