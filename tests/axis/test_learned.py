@@ -90,7 +90,7 @@ def test_an_axis_that_moves_keeps_what_it_knows() -> None:
     assert text == "the axis is moving_speed_stage: `stop` it, or wait until it holds, then `forget`."
     rig.axis.stop()
     rig.seconds(0.02)
-    assert refusal(rig)[0] is RefusalCode.BUSY
+    assert refusal(rig) == (RefusalCode.BUSY, "the axis is stopping: wait until it is at rest, then `forget`.")
     assert learned(rig).moves >= 1
     rig.seconds(2.0)
     rig.axis.forget()

@@ -12,7 +12,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import DriveTraits
 from twostage_servo.axis.moves import Move
-from twostage_servo.axis.refusals import Refused
+from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.state import ENABLED, Event, State, next_state
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.law import Stage
@@ -143,6 +143,17 @@ def test_a_disarming_brakes_at_once_with_the_deceleration_of_a_stop_and_only_onc
     assert begun == [2000.0]
     rig.axis.stop(quick=True)
     assert (begun, rig.state()) == ([2000.0, 4000.0], State.DISARMING)
+
+
+def test_an_axis_that_brakes_to_be_disarmed_says_when_it_can_be_armed() -> None:
+    rig = AxisRig().cruising(for_s=0.5)
+    rig.axis.disarm()
+    with pytest.raises(Refused, match=r"^the axis brakes to be disarmed: `arm` it once it is\.$") as told:
+        rig.axis.arm()
+    assert told.value.code is RefusalCode.BUSY
+    while rig.state() is State.DISARMING:
+        rig.tick()
+    rig.armed()
 
 
 def test_a_disarming_keeps_the_deceleration_of_a_quick_stop(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -173,7 +173,7 @@ def test_a_trip_while_it_is_being_armed_is_told_with_its_cause(capsys: pytest.Ca
 
 def test_a_silent_drive_ends_with_exit_code_3(capsys: pytest.CaptureFixture[str]) -> None:
     result = demo(capsys, "--set", "simulation.frame_loss=1", exit_code=3)
-    assert "no feedback" in result["failure"]
+    assert "there is no fresh feedback" in result["failure"]
     assert result["changeover"] is None
 
 
@@ -228,6 +228,12 @@ def test_the_trace_holds_every_tick(capsys: pytest.CaptureFixture[str], tmp_path
     assert len(rows) == result["ticks"]["count"]
     last = [row for row in rows if row["state"] == "holding"][-1]
     assert float(last["true_position"]) == pytest.approx(60.0 + result["final_error"], abs=1e-9)
+
+
+def test_an_axis_that_cannot_be_armed_says_why(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys, "--set", "simulation.initial_position=5000", exit_code=3)
+    told = "the axis cannot be armed: the axis stands at 5000 mm, more than 20 mm outside its limits -2500 to 2500"
+    assert result["failure"].startswith(told)
 
 
 def test_a_trace_that_cannot_be_written_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -305,6 +305,26 @@ def test_a_service_that_ends_does_not_wait_for_a_drive_that_is_silent() -> None:
     simulate(script)
 
 
+@pytest.mark.parametrize(("armed", "named"), [(True, ["x"]), (False, [])])
+def test_a_service_whose_bus_takes_no_command_at_its_end_names_the_drive_that_it_had_enabled(
+    *, armed: bool, named: list[str]
+) -> None:
+    """A drive that does not report its state is known from nothing but what it was told."""
+
+    async def script(world: World) -> None:
+        if armed:
+            await world.armed()
+        else:
+            await world.until(lambda: world.axis.ready_to_arm)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(world.axis_loop.bus.link, "send", lambda _: False)
+            world.service.shut_down()
+            await world.serving
+        assert world.service.shutdown.not_disabled == named
+
+    simulate(script, NO_ENABLED_BIT, *NO_HEARTBEAT)
+
+
 @pytest.mark.parametrize("policy", ["stop", "quick_stop", "disarm", "continue"])
 def test_the_other_axes_react(tmp_path: Path, policy: str) -> None:
     path = machine_file(

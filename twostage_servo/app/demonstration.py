@@ -180,10 +180,12 @@ class Demonstration:
 
     async def _operate(self) -> None:
         axis = self._axis_loop.axis
-        if not await self._until(lambda: axis.ready_to_arm, _READY_S):
-            self.failure = f"no feedback from the simulated drive within {_READY_S:g} s"
+        await self._until(lambda: axis.ready_to_arm, _READY_S)
+        try:
+            axis.arm()
+        except Refused as refused:
+            self.failure = f"the axis cannot be armed: {refused}"
             return
-        axis.arm()
         if not await self._until(lambda: axis.state is State.HOLDING or axis.trip is not None, _READY_S) or axis.trip:
             self.failure = "the axis did not arm" + (f": {axis.trip.cause}" if axis.trip else "")
             return

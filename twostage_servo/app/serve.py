@@ -42,7 +42,7 @@ class Served:
     snapshot
         Its last state, ready for JSON.
     not_disabled
-        Names of the axes whose drives had not reported that they are disabled.
+        Names of the axes whose drives may be enabled still: see `AxisLoop.report_if_not_disabled`.
     """
 
     snapshot: JsonObject

@@ -101,6 +101,8 @@ class Requests:
         """
         if (trip := self.present_trip) is not None:
             raise Refused(RefusalCode.TRIPPED, f"{tripped_text(trip)} `reset` first.")
+        if self._machine.state is State.DISARMING:
+            raise Refused(RefusalCode.BUSY, "the axis brakes to be disarmed: `arm` it once it is.")
         if self._machine.state is not State.DISARMED:
             raise Refused(RefusalCode.ALREADY_ARMED, f"the axis is armed already ({self._machine.state}).")
         if obstacle := self._obstacles.first():
@@ -323,8 +325,10 @@ class Requests:
                 f"the law that drives the axis (axis.law.type = {law}) learns nothing, or its keys in axis.law.{law} "
                 "keep it from learning: there is nothing to forget.",
             )
-        if (state := self._machine.state) in COMMANDED | BRAKING:
+        if (state := self._machine.state) in COMMANDED:
             raise Refused(RefusalCode.BUSY, f"the axis is {state}: `stop` it, or wait until it holds, then `forget`.")
+        if state in BRAKING:
+            raise Refused(RefusalCode.BUSY, f"the axis is {state}: wait until it is at rest, then `forget`.")
 
     def _brake(self, reason: str | None, *, quick: bool) -> None:
         limits = self._settings.limits

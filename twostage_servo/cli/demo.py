@@ -2,17 +2,15 @@
 
 import argparse
 import functools
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from twostage_servo.cli.configuration import add_options, configuration_problems, load_configuration
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+from twostage_servo.cli.result_file import as_csv, check_result, write_result
 from twostage_servo.cli.typed_names import file_path
 from twostage_servo.cli.typed_numbers import decimal, whole
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from twostage_servo.app.demonstration import TracedTick
 
 
@@ -67,7 +65,7 @@ def _demo(options: argparse.Namespace) -> ExitCode:
 
     loaded = load_configuration(options, () if options.fast or options.config is not None else _PATIENCE)
     if options.trace is not None:
-        _write_trace(options.trace, [TRACE_FIELDS])  # a path that cannot be written is told before the move
+        check_result(options.trace, "trace")  # a path that cannot be written is told before the move
     level = loaded.config.service.log_level
     writer = open_log("debug" if level == "debug" else "critical")  # a trip stands in the summary
     progress = Progress(quiet=options.json or options.fast)
@@ -87,7 +85,7 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     if demo.refused is not None:
         raise CommandError(ExitCode.USAGE, demo.refused.code, str(demo.refused))
     if options.trace is not None:
-        _write_trace(options.trace, [TRACE_FIELDS, *map(trace_row, demo.samples)])
+        write_result(options.trace, as_csv([TRACE_FIELDS, *map(trace_row, demo.samples)]), "trace")
         note(f"{len(demo.samples)} ticks written to {options.trace}")
     result = demo.result()
     if options.json:
@@ -101,16 +99,6 @@ def _show(progress: Progress, unit: str, share: float, tick: "TracedTick") -> No
     progress.show(
         f"{bar(share)} {tick.true_position:9.2f} {unit} {tick.true_velocity:8.1f} {unit}/s  {tick.sample.state}"
     )
-
-
-def _write_trace(path: Path, rows: "Sequence[Sequence[Any]]") -> None:
-    import csv
-
-    try:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows(rows)
-    except OSError as error:
-        raise CommandError(ExitCode.FAILED, "trace", f"the trace cannot be written: {error}") from error
 
 
 def _summary(result: dict[str, Any], unit: str, *, fast: bool) -> str:

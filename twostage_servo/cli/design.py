@@ -1,6 +1,7 @@
 """The verb `design`: gains, margins and the response to be expected, without anything that moves."""
 
 import argparse
+import io
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,6 +14,7 @@ from twostage_servo.cli.expected_moves import (
     response_lines,
 )
 from twostage_servo.cli.output import CommandError, ExitCode, note, print_json, print_line
+from twostage_servo.cli.result_file import write_result
 from twostage_servo.cli.typed_numbers import decimal
 
 if TYPE_CHECKING:
@@ -138,10 +140,9 @@ def _plot(
     known = {f"{name} stage": analysis for name, analysis in analyses.items()}
     title = f"Axis {design.settings.name} of {source}, a tick of {1e3 * design.period_s:g} ms"
     figure = design_figure(known, traces(design, traits, move, uncertainty), design.settings.unit, title)
-    try:
-        figure.savefig(path)
-    except OSError as error:
-        raise CommandError(ExitCode.FAILED, "plot", f"the plot cannot be written: {path}: {error.strerror}") from error
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix.removeprefix("."))
+    write_result(path, content.getvalue(), "plot")
     note(f"plot written to {path}")
 
 

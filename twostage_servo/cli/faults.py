@@ -1,11 +1,11 @@
 """`faults`: the fault campaign on an axis, in simulated time: what its limits mean in distance."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from twostage_servo.cli.configuration import add_options, configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, bar, note, print_json, print_line
+from twostage_servo.cli.result_file import check_result, write_result
 from twostage_servo.cli.typed_names import file_path
 from twostage_servo.cli.typed_numbers import whole
 from twostage_servo.config.files import find_configuration
@@ -46,6 +46,8 @@ def _faults(options: argparse.Namespace) -> ExitCode:
 
     if not 0 <= options.seed < 2**63:
         raise CommandError(ExitCode.USAGE, "usage", f"--seed {options.seed}: must be from 0 to 2^63 - 1")
+    if options.html is not None:
+        check_result(options.html, "page")
     path = find_configuration(options.config)
     progress = Progress(quiet=options.json)
     missed, reported, interrupted = 0, "no cell done", False
@@ -80,21 +82,14 @@ def _faults(options: argparse.Namespace) -> ExitCode:
         raise CommandError(
             ExitCode.USAGE, "usage", "there is no such fault, or not in this phase: see the list in docs/faults.md"
         )
-    if options.html is not None:
-        what = f"{', '.join(f'axis {name}' for name in result.units)} of {path or 'the embedded demo.toml'}"
-        _write(options.html, as_page(result, options.seed, what))
     missed = sum(not cell.met for cell in result.cells)
     if options.json:
         print_json(as_json(result, options.seed))
     else:
         print_line(as_text(result))
         print_line(f"{len(result.cells) - missed} cells met, {missed} missed; seed {options.seed}")
+    if options.html is not None:  # last: a page that cannot be written does not hide what took minutes
+        what = f"{', '.join(f'axis {name}' for name in result.units)} of {path or 'the embedded demo.toml'}"
+        write_result(options.html, as_page(result, options.seed, what).encode(), "page")
+        note(f"page written to {options.html}")
     return ExitCode.FAILED if missed else ExitCode.DONE
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CommandError(ExitCode.FAILED, "html", f"the page cannot be written: {error}") from error
-    note(f"page written to {path}")

@@ -15,14 +15,18 @@ from twostage_servo.axis.state import ENABLED, State
 from twostage_servo.cli.axis_text import describe, line_of, lines_of, progress_line, unheard_of
 from twostage_servo.cli.configuration import configuration_problems
 from twostage_servo.cli.output import CommandError, ExitCode, Progress, note, print_json, print_line
+from twostage_servo.cli.result_file import as_csv, write_result
 from twostage_servo.client.blocking import ServoClient, connect
 from twostage_servo.client.errors import ConfigError, Interrupted, Refused, ServoError, Tripped, Unreachable
 from twostage_servo.config.files import find_configuration
 
 BAD_USAGE: Final = frozenset(
-    {RefusalCode.BAD_REQUEST, RefusalCode.POSITION_LIMIT, RefusalCode.VELOCITY_LIMIT, RefusalCode.WHICH_AXIS}
-)
-"""Refusals for which the request alone is to blame, whatever the axis does."""
+    {
+        RefusalCode.BAD_REQUEST, RefusalCode.POSITION_LIMIT, RefusalCode.VELOCITY_LIMIT, RefusalCode.WHICH_AXIS,
+        RefusalCode.CONFIG,
+    }
+)  # fmt: skip
+"""Refusals for which the request or the configuration alone is to blame, whatever the axis does."""
 _WITHOUT_PLACE: Final = frozenset({"arm", "jog"})
 """Verbs that name no position: one that is beyond the limits is the axis' own."""
 
@@ -80,7 +84,7 @@ def _status(options: argparse.Namespace) -> ExitCode:
     with _connected(options) as client:
         status = client.status()
         if options.recording is not None:
-            _write_csv(options.recording, client.recording())
+            _write_recording(options.recording, client.recording())
     if options.json:
         _print_status(status)
     else:
@@ -89,14 +93,8 @@ def _status(options: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE if is_well else ExitCode.FAILED
 
 
-def _write_csv(path: Path, recording: Recording) -> None:
-    import csv
-
-    try:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            csv.writer(file).writerows([recording.fields, *recording.records])
-    except OSError as error:
-        raise CommandError(ExitCode.FAILED, "recording", f"the recording cannot be written: {error}") from error
+def _write_recording(path: Path, recording: Recording) -> None:
+    write_result(path, as_csv([recording.fields, *recording.records]), "recording")
     note(f"{len(recording.records)} ticks written to {path}")
 
 

@@ -76,6 +76,7 @@ class AxisLoop:
         self._boots = 0
         self._sent_s: float | None = None
         self._dropped_in_a_row = 0
+        self._told_to_enable = False  # by the last command that the bus has accepted
         receivers = {
             identifier.identifier: functools.partial(self._deliver, decode)
             for identifier, decode in drive.decoders.items()
@@ -117,6 +118,8 @@ class AxisLoop:
             return
         self._sent_s = asyncio.get_running_loop().time() if sent else None
         self._dropped_in_a_row = 0 if sent else self._dropped_in_a_row + 1
+        if sent:
+            self._told_to_enable = bool(self.command.enable)
         if self._dropped_in_a_row >= _DROPPED_IN_A_ROW:
             self.axis.raise_trip(
                 TripCode.COMMANDS_DROPPED, f"the bus did not accept {self._dropped_in_a_row} commands in a row"
@@ -154,19 +157,25 @@ class AxisLoop:
 
     def disable_drive(self, tick_index: int) -> None:
         """Tell the drive to disable, as the last thing before the service ends."""
-        if self.bus.send(tick_index, self._prepared(NO_EFFORT)) is not True:
+        if self.bus.send(tick_index, self._prepared(NO_EFFORT)):
+            self._told_to_enable = False
+        else:
             text = "the drive could not be told to disable; only its own command time-out stops it"
             structlog.get_logger().error(text, axis=self.name, error=self.bus.error or "the bus accepts no frame")
 
     def report_if_not_disabled(self) -> bool:
-        """Return whether the drive was never seen disabled before the service ends; log it if so."""
+        """Return whether the drive may be enabled as the service ends; log it if it was never seen disabled.
+
+        It may be where the last that it has reported is that it is enabled, and where the last command that its bus has
+        accepted told it to enable: a drive that does not report its state is then known from nothing else.
+        """
         watch = self.axis.disabled
         if watch.seen_enabled:
             text = "the drive did not report that it is disabled; only its own command time-out stops it"
             structlog.get_logger().error(
                 text, axis=self.name, code=TripCode.DRIVE_NOT_DISABLED, told_ms=watch.told_ms, moved=watch.moved
             )
-        return watch.seen_enabled
+        return watch.seen_enabled or self._told_to_enable
 
     def _prepared(self, command: Command) -> list[can.Message]:
         prepare = self.bus.link.prepare

@@ -32,7 +32,7 @@ class Shutdown:
     failure
         The defect that ends the service, or None.
     not_disabled
-        Names of the axes whose drives had not reported that they are disabled when the service ended.
+        Names of the axes whose drives may have been enabled when the service ended.
     """
 
     def __init__(self, settings: ServiceSettings, axis_loops: Sequence[AxisLoop]) -> None:
