@@ -451,6 +451,27 @@ def test_an_axis_whose_plant_is_off_its_model_may_go_a_quarter_farther(
     assert soak.watch.check(1.01 * bound, 100.0, 0.0) is not None
 
 
+@pytest.mark.parametrize(
+    ("gain", "at", "state", "share"),
+    [
+        (0.85, 0.99, State.QUICK_STOPPING, 2.0),
+        (0.85, 1.01, State.QUICK_STOPPING, 1.25),  # certain
+        (0.85, 0.99, State.HOLDING, 1.25),  # not in a stop
+        (1.0, 0.99, State.QUICK_STOPPING, 1.0),
+    ],
+)
+def test_an_encoder_that_turns_round_unseen_in_a_stop_may_cost_twice_the_way(
+    gain: float, at: float, state: State, share: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    soak = armed(soak_of(linear(), monkeypatch))
+    monkeypatch.setattr(type(soak.axis), "state", state)
+    speed = at * certain_speed(soak.axis.design, slowest_certain_velocity(soak.axis.design), 0.0)
+    bound = share * travel_bound(soak.axis.design, speed, -1.0)
+    soak.watch.begin(-1.0, 0.0, speed, gain)
+    assert soak.watch.check(0.99 * bound, speed, 0.0) is None
+    assert soak.watch.check(1.01 * bound, speed, 0.0) is not None
+
+
 @pytest.mark.parametrize(("ticks_before", "told"), [(299, False), (300, True)])
 def test_what_a_cruise_is_has_a_unit_of_time(ticks_before: int, *, told: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """It lasts 300 ms. Of a tick of 1 ms, 30 had been enough, in which the speed of any axis hardly changes."""
