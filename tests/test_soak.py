@@ -388,7 +388,7 @@ def test_an_encoder_that_stood_still_before_a_move_is_held_to_a_bound_from_the_s
 ) -> None:
     soak, stall, effort, far = frozen_at_rest(monkeypatch)
     soak.watch.check(0.0, 0.0, effort + 1.1 * stall)
-    soak.watch.move_asked(0.0, 100.0, at_rest=True)
+    soak.watch.move_asked(0.0, 100.0, 0.0, at_rest=True)
     assert soak.watch.check(far, 1.0, effort + 0.9 * stall) is None
     assert soak.watch.check(2.0 * far, 1.0, effort + 1.1 * stall) is not None
 
@@ -399,7 +399,7 @@ def test_an_encoder_that_stood_still_is_compared_with_the_effort_at_which_it_did
     """Other moves may begin meanwhile, at another effort, until the axis is armed anew."""
     soak, stall, effort, far = frozen_at_rest(monkeypatch)
     monkeypatch.setattr(type(soak.axis), "effort", effort - 0.5 * stall)
-    soak.watch.move_asked(0.0, 100.0, at_rest=True)
+    soak.watch.move_asked(0.0, 100.0, 0.0, at_rest=True)
     for _ in range(8):
         assert soak.watch.check(0.0, 1.0, effort + 0.9 * stall) is None
     assert soak.watch.check(far, 1.0, effort + 0.9 * stall) is None
@@ -438,6 +438,19 @@ def test_from_rest_another_scale_shows_at_several_times_the_speed_at_which_it_do
     soak.watch.begin(0.5, 0.0, 0.0, 0.8)
     soak.watch.check(0.0, speed, 0.0)
     assert (soak.watch.check(far, speed, 0.0) is not None) is told
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.99, True), (1.01, False)])
+def test_a_move_of_an_axis_that_creeps_on_from_a_stop_does_not_show_another_scale_from_rest_on(
+    share: float, *, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It holds by its encoder, which counts half, and truly goes three times its velocity at rest: seed 1119."""
+    soak = soak_of(linear(), monkeypatch)
+    design = soak.axis.design
+    soak.watch.begin(0.5, 0.0, 0.0, 0.74)  # an answer to the effort that no accepted plant has
+    soak.watch.move_asked(0.0, 100.0, share * design.rest_velocity, at_rest=True)
+    soak.watch.check(0.0, 200.0, 0.0)
+    assert (soak.watch.check(10.0 * travel_bound(design, 100.0, 0.5), 200.0, 0.0) is not None) is told
 
 
 @pytest.mark.parametrize(("gain", "pole", "share"), [(1.0, 1.0, 1.0), (1.18, 1.0, 1.25), (1.0, 0.9, 1.25)])

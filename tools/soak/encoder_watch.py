@@ -180,14 +180,26 @@ class EncoderWatch:
         asked = max(abs(speed), self._speed_asked())
         self._begin_motion(position, asked, shows=shows, steady=steady, from_rest=at_rest)
 
-    def move_asked(self, position: float, velocity: float, *, at_rest: bool) -> None:
-        """Take a motion that was asked for, at a velocity in axis unit/s, of an axis at a true position."""
+    def move_asked(self, position: float, velocity: float, speed: float, *, at_rest: bool) -> None:
+        """Take a motion that was asked for.
+
+        Parameters
+        ----------
+        position
+            Where the axis truly is, in axis unit.
+        velocity, speed
+            What was asked for, and the true velocity, in axis unit/s.
+        at_rest
+            Whether the axis takes itself to be at rest. It may creep on from a stop all the same, behind an encoder
+            that counts half; then not all of the motion shows another scale.
+        """
         if not self.active:
             return
         if at_rest:
             self._began += f", then from rest at {velocity:.4g}"
             stood_with = self._effort_before
-            self._begin_motion(position, velocity, shows=False, steady=False, from_rest=True)
+            stands = abs(speed) <= self._axis.design.rest_velocity
+            self._begin_motion(position, velocity, shows=False, steady=False, from_rest=stands)
             if stood_with is not None:  # it has stood still since then: that effort the axis compares with
                 self._effort_before = stood_with
         else:

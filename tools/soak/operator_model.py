@@ -104,7 +104,8 @@ class OperatorModel:
 
     def _home(self) -> None:
         self._axis.home()
-        self._watch.move_asked(self._drive.position, self._axis.settings.homing.velocity, at_rest=True)
+        velocity = self._axis.settings.homing.velocity
+        self._watch.move_asked(self._drive.position, velocity, self._drive.velocity, at_rest=True)
 
     def _move(self) -> None:
         move = self._axis.move
@@ -119,20 +120,20 @@ class OperatorModel:
         self._move_to(min(max(target, limits.position_minimum), limits.position_maximum))
 
     def _move_to(self, target: float) -> None:
-        velocity, at_rest = self._velocity_asked(), self._at_rest()
+        drive, velocity, at_rest = self._drive, self._velocity_asked(), self._at_rest()
         self._axis.move_to(target, velocity)
-        self._watch.move_asked(self._drive.position, self._in_force(velocity), at_rest=at_rest)
+        self._watch.move_asked(drive.position, self._in_force(velocity), drive.velocity, at_rest=at_rest)
 
     def _step(self) -> None:
-        velocity, at_rest = self._velocity_asked(), self._at_rest()
+        drive, velocity, at_rest = self._drive, self._velocity_asked(), self._at_rest()
         step = 0.02 * self._axis.settings.limits.velocity
         self._axis.move_by(self._random.uniform(-step, step), velocity)
-        self._watch.move_asked(self._drive.position, self._in_force(velocity), at_rest=at_rest)
+        self._watch.move_asked(drive.position, self._in_force(velocity), drive.velocity, at_rest=at_rest)
 
     def _jog(self) -> None:
-        velocity, at_rest = self._velocity_asked(), self._at_rest()
+        drive, velocity, at_rest = self._drive, self._velocity_asked(), self._at_rest()
         self._axis.jog(self._random.choice((-1.0, 1.0)) * velocity)
-        self._watch.move_asked(self._drive.position, self._in_force(velocity), at_rest=at_rest)
+        self._watch.move_asked(drive.position, self._in_force(velocity), drive.velocity, at_rest=at_rest)
 
     def _override(self) -> None:
         """Change the speed override, but not while the encoder counts wrongly: its bounds go by the speed asked for."""

@@ -171,7 +171,7 @@ class ServiceSoak:
             if self._ask(world, request, client) and axis.state in DRIVEN:
                 velocity = request.get("velocity", axis.settings.homing.velocity)
                 if request["op"] in {"move", "jog", "home"} and isinstance(velocity, float):
-                    self.watch.move_asked(world.place(), abs(velocity), at_rest=at_rest)
+                    self.watch.move_asked(world.place(), abs(velocity), world.drive.velocity, at_rest=at_rest)
 
     def _arm(self, world: World, client: str) -> None:
         axis = world.axis
