@@ -176,6 +176,22 @@ def test_a_drive_that_stays_enabled_obeys_neither_enable_nor_its_time_out(profil
     assert (bench.drive.enabled, bench.drive.effort) == (False, 0.0)
 
 
+@pytest.mark.parametrize("commanded", [True, False])
+def test_a_drive_that_stays_enabled_no_more_times_out_at_once_if_no_command_has_come(
+    profile: DriveProfile, *, commanded: bool
+) -> None:
+    """Its time-out lies in the past then: the axis was to be moved back in time (service soak, seed 5)."""
+    bench = Bench(profile, feedback="cyclic", command_timeout_ms=20.0)
+    if commanded:
+        bench.enable(0.0, 1.0)
+    bench.change(0.01, stays_enabled=True)
+    bench.cycle(0.5)
+    assert bench.drive.enabled
+    bench.change(0.6, stays_enabled=False)
+    bench.cycle(0.7)
+    assert (bench.drive.enabled, bench.drive.counters.command_timeouts) == (False, 1)
+
+
 def test_a_drive_that_stays_enabled_and_ignores_effort_goes_on_with_the_one_it_had(profile: DriveProfile) -> None:
     bench = driven(profile, effort=1.5)
     bench.change(0.01, stays_enabled=True, ignores_effort=True)

@@ -69,6 +69,7 @@ class PowerStage:
         self._arriving: deque[tuple[float, float]] = deque()  # (time at which it acts, effort)
         self._may_enable = False  # a command without Enable has been seen since the drive last had to stop
         self._commanded_s = -inf
+        self._advanced_s = start_s
 
     def change(self, now_s: float, changed: DriveFaults) -> None:
         """Let other faults act from a time on, s.
@@ -131,7 +132,8 @@ class PowerStage:
         """Bring axis and power stage to a time in s, from event to event."""
         while True:
             obeys = self.enabled and not self.faults.stays_enabled
-            timeout_s = self._commanded_s + self._command_timeout_s if obeys else inf
+            # One that stayed enabled beyond its time-out, and does so no more, times out at once.
+            timeout_s = max(self._commanded_s + self._command_timeout_s, self._advanced_s) if obeys else inf
             arrival_s = self._arriving[0][0] if self._arriving else inf
             event_s = min(timeout_s, arrival_s, self.booted_s)
             if event_s > now_s:
@@ -150,6 +152,7 @@ class PowerStage:
                 self.booted_s = inf
                 self._on_boot(event_s)
         self.axis.advance(now_s, self.effort)
+        self._advanced_s = now_s
 
     def _acting(self) -> float:
         """Return the effort that acts with the present faults."""
