@@ -20,6 +20,7 @@ from twostage_servo.control.laws.adaptive.rules import (
     LearningRules,
     Rules,
     encoder_poles,
+    is_noisy,
     noise_unit,
 )
 from twostage_servo.control.laws.law import ControlTask, Learned
@@ -61,9 +62,9 @@ class ControlEstimate:
     """
 
     __slots__ = (
-        "_direction", "_efforts", "_expected_load", "_learning_rules", "_learns", "_noise", "_noise_square",
-        "_observer", "_origin", "_rest", "_rules", "_samples_at_rest", "_task", "_unit", "disturbance", "learning",
-        "model", "position", "velocity",
+        "_direction", "_efforts", "_friction", "_is_to_begin", "_learning_rules", "_learns", "_load_at_rest", "_noise",
+        "_noise_square", "_observer", "_origin", "_rest", "_rules", "_samples_at_rest", "_task", "_unit", "disturbance",
+        "learning", "model", "position", "velocity",
     )  # fmt: skip
 
     def __init__(
@@ -82,7 +83,9 @@ class ControlEstimate:
         self.learning = Learning(task.plant, learning_rules, task.period_s, task.effort_limit)
         self._efforts = 0.0, 0.0, 0.0
         self._direction, self._origin = 1.0, 0.0
-        self._expected_load: float | None = None  # of a move that begins
+        self._is_to_begin = False  # a move, with its first sample
+        self._load_at_rest = 0.0  # against the move, before it
+        self._friction = 0.0  # what ends with the move of what acts against it
         self.position = self.velocity = self.disturbance = 0.0
         self._adopt(self.learning.believed)
 
@@ -134,6 +137,7 @@ class ControlEstimate:
     def _take(self, axis: DisturbanceObserver) -> None:
         """Take over the axis' estimate; the acceleration that it predicts stays."""
         self.give_up()
+        self._friction = 0.0
         configured, effort = self._task.plant, self._efforts[0]
         acceleration = configured.gain * (effort + axis.disturbance) - configured.pole * axis.velocity
         self._observer.go_on_from(axis.position, axis.velocity, 0.0)
@@ -154,8 +158,8 @@ class ControlEstimate:
         last, before, _ = self._efforts
         self._efforts = effort, last, before
         observer.update(observer.position if sample is None else sample, last if self.model.is_late else effort)
-        if self._expected_load is not None:
-            self._begin(self._expected_load, sample)
+        if self._is_to_begin:
+            self._begin(sample)
         if self.learning.active:
             self._learn(sample)
         self._tell()
@@ -196,41 +200,51 @@ class ControlEstimate:
         """
         learning, observer = self.learning, self._observer
         self._direction, self._origin = direction, observer.position
+        self._friction = 0.0
         if not self._learns:
             return
         self._adopt(learning.believed)  # with the poles that the noise asks for
-        held = -direction * observer.disturbance  # what has to be held at rest, friction aside
-        most = LOAD_DEVIATIONS * self._learning_rules.prior_load * self._task.effort_limit
-        load = learning.loads.get(direction)
-        if load is not None and abs(load - held) > most:
-            del learning.loads[direction]  # it has gone since, or was never there: it would drive the axis off
-            load = None
-        if load is None:
-            load = held
-        else:
-            observer.correct(observer.velocity, -direction * load)
-        self._expected_load = load
+        self._load_at_rest = held = -direction * observer.disturbance
+        for known, here in ((direction, held), (-direction, -held)):
+            if known in learning.loads and abs(learning.loads[known] - here) > self._largest_friction:
+                del learning.loads[known]  # it has gone since, or was never there: it would drive the axis off
+        if direction in learning.loads:
+            observer.correct(observer.velocity, -direction * learning.loads[direction])
+        self._is_to_begin = True
         self._tell()
 
-    def _begin(self, load: float, sample: float | None) -> None:
+    def _begin(self, sample: float | None) -> None:
         """Begin to identify with the first sample of the move: a model that runs by itself gets none."""
         if sample is None:
             self.give_up()
             return
-        self._expected_load = None
-        self.learning.begin(self._direction, load, SPREAD_SHARE * self.spread)
+        self._is_to_begin = False
+        self.learning.begin(self._direction, self._load_at_rest, SPREAD_SHARE * self.spread)
 
     def finish(self) -> None:
         """End to look, and go on with what is believed."""
         if self.learning.finish():
             self._adopt(self.learning.believed)
+            if is_noisy(self._task, self.noise):  # a quiet encoder shows it within two ticks
+                self._friction = self.learning.friction(self._load_at_rest, self._largest_friction)
         else:
             self._return_to_believed()
         self._tell()
 
+    def come_to_rest(self, direction: float) -> None:
+        """End a motion in a direction (1 or -1): what acted against it as long as it lasted no longer does.
+
+        Otherwise it would push the axis on from where it has come to rest, until the observer has found it out. With
+        the poles for a noisy encoder that takes half a second.
+        """
+        if direction == self._direction:
+            self._observer.correct(self._observer.velocity, self._observer.disturbance + direction * self._friction)
+            self._tell()
+        self._friction = 0.0
+
     def give_up(self) -> None:
         """End to look, because something else happens; go on with the model of this move only if it is known well."""
-        self._expected_load = None
+        self._is_to_begin = False
         self._rest.clear()  # what was seen at one place says nothing of the noise at another
         if not self.learning.active:
             return
@@ -267,6 +281,11 @@ class ControlEstimate:
                 direction * (plant.a22 * found.velocity + plant.b2 * net),
                 -direction * found.load,
             )
+
+    @property
+    def _largest_friction(self) -> float:
+        """By how much what acts against a move may differ from what is held at rest, in effort unit."""
+        return LOAD_DEVIATIONS * self._learning_rules.prior_load * self._task.effort_limit
 
     @property
     def _acted(self) -> float:

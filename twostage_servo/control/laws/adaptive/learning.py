@@ -5,6 +5,7 @@ one gives the model. What the whole acceleration has shown is kept for the next 
 otherwise the last believed model comes back.
 """
 
+from math import copysign
 from typing import Final, NamedTuple
 
 from twostage_servo.control.laws.adaptive.identification import Fit, Prior, widened
@@ -109,7 +110,7 @@ class Learning:
         self.is_late = False
         self.moves = 0
         self._delay_evidence = 0.0
-        self._fits = self._new_fits(0.0, 1.0, self._rules.prior_load)
+        self._fits = self._new_fits(0.0, 1.0)
         self._direction = 1.0
         self.active = False
         self._ticks = self._surprises = 0
@@ -160,20 +161,19 @@ class Learning:
         direction
             1 or -1.
         load
-            What seems to act against the move, in effort unit.
+            What is held against the move at rest, in effort unit.
         spread
             Standard deviation of a sample, in axis unit.
         """
-        rules = self._rules
         self._direction = direction
-        self._fits = self._new_fits(load, spread, rules.known_load if direction in self.loads else rules.prior_load)
+        self._fits = self._new_fits(load, spread)
         self.active = True
         self._ticks, self._surprises = -1, 0
 
-    def _new_fits(self, load: float, spread: float, load_share: float) -> tuple[Fit, Fit]:
+    def _new_fits(self, load: float, spread: float) -> tuple[Fit, Fit]:
         """Return a fit for an effort that acts in time, and one for an effort that acts a tick later."""
         gain_share, pole_share = self._shares
-        load_spread = load_share * self._effort_limit
+        load_spread = self._rules.prior_load * self._effort_limit
         prior = Prior(self.believed.gain, self.believed.pole, load, gain_share, pole_share, load_spread)
         return Fit(prior, spread, self._period_s), Fit(prior, spread, self._period_s)
 
@@ -264,6 +264,24 @@ class Learning:
         self._delay_evidence = _within(self._delay_evidence + gap, (-MOST_DELAY_EVIDENCE, MOST_DELAY_EVIDENCE))
         self.moves += 1
         return True
+
+    def friction(self, at_rest: float, most: float) -> float:
+        """Return how much of the load of the last move ends with the move, in effort unit; it never drives an axis.
+
+        Friction does, and what the fit took for a load that goes with the speed. Both are in the loads of either
+        direction alike, while what is held at rest has another sign there: so half of their sum is what ends. Where
+        moves in one direction alone are known, it is what the load exceeds that which was held at rest.
+
+        Parameters
+        ----------
+        at_rest
+            What was held against the move before it, in effort unit.
+        most
+            Its largest magnitude, in effort unit.
+        """
+        load, opposite = self.loads[self._direction], self.loads.get(-self._direction)
+        ends, sign = load - at_rest if opposite is None else 0.5 * (load + opposite), copysign(1.0, self.believed.gain)
+        return sign * _within(sign * ends, (0.0, most))
 
     def _bounded(self, fit: Fit) -> Plant:
         configured = self._configured

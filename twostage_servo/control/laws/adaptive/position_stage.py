@@ -53,6 +53,8 @@ class PositionStage:
         course.position += direction * (plant.a12 * speed + plant.b1 * forward)
         if course.braking is None or course.braking.done:
             course.position = course.target
+            if course.braking is not None:
+                estimate.come_to_rest(direction)
             course.braking = None
         course.speed = ahead
         return direction * forward + back - estimate.disturbance

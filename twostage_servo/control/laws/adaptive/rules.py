@@ -27,8 +27,8 @@ SPREAD_SHARE: Final = 1.874
 
 
 LOAD_DEVIATIONS: Final = 3.0
-"""Standard deviations of a load before one is known by which a learned one may differ from what is held at rest: by
-friction it does, and by what has changed since."""
+"""Standard deviations of a load by which a learned one may differ from what is held at rest: by friction it does, by
+what has changed since, and by what a fit could not tell from a load."""
 
 SWING_TICKS: Final = 5.0
 """Ticks in which the effort has to be able to go from none to its limit for loops as quick as the tick allows."""
@@ -103,9 +103,9 @@ class LearningRules:
     ----------
     prior_share
         Standard deviation of gain and pole before anything is known, as a share.
-    prior_load, known_load
-        Standard deviation of the load in a direction before and after one has been identified, as shares of the effort
-        limit.
+    prior_load
+        Standard deviation of what acts against a move, friction included, around what was held at rest, as a share of
+        the effort limit.
     delay_evidence
         By how much the late fit has to be likelier on a first move.
     delay_gap
@@ -124,7 +124,6 @@ class LearningRules:
 
     prior_share: float = 0.17
     prior_load: float = 0.0463
-    known_load: float = 0.012
     delay_evidence: float = 2.701
     delay_gap: float = 3.0
     surprise: float = 40.0
