@@ -497,6 +497,20 @@ def test_what_a_cruise_is_has_a_unit_of_time(ticks_before: int, *, told: bool, m
     assert (soak.watch.check(far, 200.0, 0.0) is not None) is told
 
 
+@pytest.mark.parametrize(("asked", "told"), [(100.0, True), (92.0, True), (70.0, False), (130.0, False)])
+def test_an_axis_that_is_about_to_change_its_speed_does_not_cruise(
+    asked: float, *, told: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another velocity had just been asked for, and another scale looked like an accepted plant as it slowed down."""
+    soak = armed(soak_of(linear(), monkeypatch))
+    soak.axis.move_to(2000.0, asked)
+    for _ in range(30):
+        soak.watch.check(0.0, 100.0, 0.0)
+    soak.watch.begin(2.0, 0.0, 100.0, 1.2)
+    soak.watch.check(0.0, 100.0, 0.0)
+    assert (soak.watch.check(10.0 * travel_bound(soak.axis.design, 130.0, 2.0), 100.0, 0.0) is not None) is told
+
+
 def test_a_late_sample_of_a_fast_axis_hides_another_scale() -> None:
     made = design(linear().load())
     slowest = slowest_certain_velocity(made)

@@ -318,7 +318,9 @@ class EncoderWatch:
         return certain_speed(self._axis.design, self._slowest, self._fastest)
 
     def _cruises(self, speed: float) -> bool:
-        if len(self._speeds) < self._cruise_ticks:
+        """Whether it goes at an even speed, and is not about to change it: it may just have been asked to."""
+        asked = self._speed_asked()
+        if len(self._speeds) < self._cruise_ticks or (asked and abs(asked - speed) > _CRUISE_SHARE * speed):
             return False
         return max(*self._speeds, speed) - min(*self._speeds, speed) <= _CRUISE_SHARE * speed
 

@@ -33,6 +33,10 @@ _LIFE_TICKS = 15_000
 _MOST_ENCODER_EVENTS = 30
 """Events after which the operator mends an encoder that nobody has noticed, as one is that fails at standstill."""
 
+_SHOWN_AFTER_TICKS = 4
+"""Who mends an encoder says where the axis is when the drive has reported that, with all the delays of a bus: the count
+must not change behind it. Up to a speed that a hand may have, nobody can see that it has."""
+
 
 class ServiceSoak:
     """One service after another, each with its drive in random operation.
@@ -55,6 +59,7 @@ class ServiceSoak:
         self.closest = self.farthest = 0.0
         self._ticks_before = 0
         self._encoder_events = 0
+        self._mended_at = 0
         self._was_homing = False
         self._reported_trip: object = None
         self._pace_s = 1.0
@@ -146,7 +151,7 @@ class ServiceSoak:
             elif world.axis.state in ENABLED:
                 world.axis.disarm()
             else:
-                mishaps.mend_encoder()
+                self._mend_encoder(mishaps)
         elif random.random() < 0.75 or mishaps.drive_disobeys:
             self._encoder_events = 0
             self._ask_something(world, mishaps)
@@ -162,7 +167,7 @@ class ServiceSoak:
             return
         if axis.trip is not None:
             if self.watch.active and axis.state is State.TRIPPED and random.random() < 0.6:
-                mishaps.mend_encoder()
+                self._mend_encoder(mishaps)
             self._ask(world, {"op": "reset"}, client)
         elif axis.state is State.DISARMED:
             self._arm(world, client)
@@ -173,8 +178,14 @@ class ServiceSoak:
                 if request["op"] in {"move", "jog", "home"} and isinstance(velocity, float):
                     self.watch.move_asked(world.place(), abs(velocity), world.drive.velocity, at_rest=at_rest)
 
+    def _mend_encoder(self, mishaps: ServiceMishaps) -> None:
+        mishaps.mend_encoder()
+        self._mended_at = self.ticks
+
     def _arm(self, world: World, client: str) -> None:
         axis = world.axis
+        if self.ticks < self._mended_at + _SHOWN_AFTER_TICKS:
+            return
         by_hand = axis.settings.homing.method == "set_here" or self.random.random() < 0.3
         if not axis.referenced and by_hand and self._ask(world, {"op": "home", "position": world.place()}, client):
             self.watch.placed(world.drive.velocity)
