@@ -6,9 +6,12 @@ from typing import Any, cast
 
 import pytest
 
+from twostage_servo.app.assembly import design
+from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.state import State
 from twostage_servo.config.loader import load
-from twostage_servo.faults.checks import trips_early
+from twostage_servo.faults.checks import continuous, trips_early
+from twostage_servo.faults.servo_gains import servo_gains_of
 from twostage_servo.faults.world import World
 
 
@@ -41,3 +44,45 @@ def test_a_wrong_encoder_is_noticed_early_within_ten_gates_or_the_samples_that_i
 ) -> None:
     wrong = asyncio.run(trips_early(tripped_after(distance, tick_ms)))
     assert (wrong is None) is in_time
+
+
+def retargeted(usual_step: float, first_step: float, later_step: float) -> World:
+    """Return a world whose effort rises evenly, until a new set-point after two ticks gives it other steps."""
+    design = load_design()
+    efforts = [0.0, usual_step]
+    with_it = [*efforts, usual_step + first_step, usual_step + first_step + later_step]
+    without = [*efforts, 2.0 * usual_step, 3.0 * usual_step]
+
+    def samples(run: list[float]) -> list[Any]:
+        return [SimpleNamespace(time_s=0.01 * n, effort=effort, velocity=100.0) for n, effort in enumerate(run)]
+
+    world = SimpleNamespace(
+        axis=SimpleNamespace(design=design), period_s=0.01, velocity=100.0, fault_s=0.015,
+        samples=samples(with_it), undisturbed=samples(without),
+    )  # fmt: skip
+    return cast("World", world)
+
+
+def load_design() -> AxisDesign:
+    return design(load(None))
+
+
+_SUM = servo_gains_of(load_design()).f11 * 0.01 * 100.0 * 1.1
+"""What the law's sum adds to the effort in a tick, in V."""
+
+
+@pytest.mark.parametrize(
+    ("usual", "first", "later", "is_continuous"),
+    [
+        (0.5, 0.9, 1.49, True),  # a turn: three usual steps
+        (0.5, 0.9, 1.51, False),
+        (0.05, 0.04 + _SUM, 0.05, True),  # a limit of the acceleration keeps the usual steps small, not the sum's tick
+        (0.05, 0.06 + _SUM, 0.05, False),
+        (0.05, 0.04 + _SUM, 0.06 + _SUM, False),
+    ],
+)
+def test_a_new_set_point_is_taken_without_a_bump(
+    usual: float, first: float, later: float, *, is_continuous: bool
+) -> None:
+    wrong = asyncio.run(continuous(retargeted(usual, first, later)))
+    assert (wrong is None) is is_continuous, wrong

@@ -199,7 +199,8 @@ async def continuous(world: World) -> str | None:
 
     No later step is larger than a turn takes. The response is linear, so a turn from v to -v, which is twice the change
     of speed from rest to v, takes twice the largest step of the same move without the new set-point, and what that move
-    had under way adds one. Limits only take away from it.
+    had under way adds one. Limits only take away from it; where they took away from that move as well, as a low limit
+    of the acceleration does, the sum's tick and one usual step may be more than that.
     """
     axis = world.axis
     usual = {round(sample.time_s, 6): sample for sample in world.undisturbed}
@@ -212,8 +213,9 @@ async def continuous(world: World) -> str | None:
     largest, usual_step = _largest_step(world.samples), _largest_step(world.undisturbed)
     if apart > tick_of_the_sum + 1e-9:
         return f"the new set-point changes the effort by {apart:.4g} at once, {tick_of_the_sum:.4g} is allowed"
-    if largest > 3.0 * usual_step + 1e-9:
-        return f"the effort jumped by {largest:.4g} in a tick, {3.0 * usual_step:.4g} is allowed"
+    most = max(3.0 * usual_step, usual_step + tick_of_the_sum)
+    if largest > most + 1e-9:
+        return f"the effort jumped by {largest:.4g} in a tick, {most:.4g} is allowed"
     return None
 
 
