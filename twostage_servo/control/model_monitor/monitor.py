@@ -90,7 +90,7 @@ class ModelMonitor:
     """
 
     __slots__ = (
-        "_accepted", "_accepted_sums", "_changes", "_date_share_s", "_forgetting", "_gains", "_identified",
+        "_accepted", "_changes", "_date_share_s", "_forgetting", "_gains", "_identified",
         "_innovation", "_is_lasting", "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins",
         "_reversal", "_samples", "_still_sum", "_sum", "_sums", "is_sure", "surprise",
     )  # fmt: skip
@@ -123,7 +123,6 @@ class ModelMonitor:
         self._innovation: float = 0.0
         self._noise_square: float = 0.0
         self._sums = [0.0] * len(OTHER_GAINS)
-        self._accepted_sums = [0.0] * len(ACCEPTED)
         self._sum = 0.0
         self.surprise = 0.0
 
@@ -145,7 +144,6 @@ class ModelMonitor:
         self._samples = [model.position] * len(self._samples)
         self._sum = model.innovation * model.innovation / (1.0 - self._forgetting)
         self._sums = [self._sum] * len(OTHER_GAINS)
-        self._accepted_sums = [self._sum] * len(ACCEPTED)
         self.surprise = self._sum**0.5
         self._reversal.start(model.innovation * model.innovation)
 
@@ -235,16 +233,15 @@ class ModelMonitor:
 
     def _compare_accepted(self, sample: float, effort: float, late_effort: float, lag_s: float) -> float:
         """Give the accepted plants a tick, and return their smallest squared innovation in (axis unit)²."""
-        least_square, kept, sums = inf, self._forgetting, self._accepted_sums
-        for index, (observer, is_delayed) in enumerate(self._accepted):
+        least_square = inf
+        for observer, is_delayed in self._accepted:
             observer.update(sample + observer.velocity * lag_s, late_effort if is_delayed else effort)
             square = observer.innovation * observer.innovation
-            sums[index] = kept * sums[index] + square
             if square < least_square:  # noqa: PLR1730 - `min` takes longer, ten times a tick
                 least_square = square
         least_square = min(least_square, self._identified.update(sample, effort, lag_s))
         self._is_lasting = self.surprise > LASTING_SHARE * self._least
-        self._sum = kept * self._sum + least_square
+        self._sum = self._forgetting * self._sum + least_square
         self.surprise = self._sum**0.5
         return least_square
 
