@@ -19,6 +19,7 @@ from twostage_servo.app.build import Parts, replace_axes, traits_of
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.refusals import RefusalCode, Refused
+from twostage_servo.portable_error import PortableError
 from twostage_servo.service.background_server import Priority
 from twostage_servo.worker_thread import WorkerThread
 
@@ -30,7 +31,7 @@ _LONGEST_LINE: Final = 500
 _COMMAND: Final = (sys.executable, "-P", "-c", "from twostage_servo.app.axes_preparation import main; main()")
 
 
-class ReadingError(Exception):
+class ReadingError(PortableError):
     """The configuration could not be read again, through no fault of its own.
 
     Attributes

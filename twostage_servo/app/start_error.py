@@ -3,8 +3,10 @@
 import contextlib
 from collections.abc import Iterator
 
+from twostage_servo.portable_error import PortableError
 
-class StartError(Exception):
+
+class StartError(PortableError):
     """Ends the start, with a text for the operator.
 
     Attributes

@@ -10,6 +10,7 @@ from twostage_servo.control.laws.registry import LAWS, PAPER
 from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, KalmanGain, NoiseModel, kalman_gain
 from twostage_servo.control.plant import MODEL_ERROR, DiscretePlant, Plant, Triple
+from twostage_servo.portable_error import PortableError
 
 REST_SHARE = 0.01
 """Share of the velocity limit at or below which the axis counts as at rest: 2.5 mm/s of the demo's 250."""
@@ -19,7 +20,7 @@ DISABLING_TICKS = 3
 """Ticks until a command to disable acts, and until the samples show it: one to leave, one to act, one to be seen."""
 
 
-class DesignError(ValueError):
+class DesignError(PortableError, ValueError):
     """The settings describe an axis for which no law can be designed; ``key`` is the dotted config key at fault."""
 
     def __init__(self, key: tuple[str, ...], message: str) -> None:

@@ -2,6 +2,8 @@
 
 import enum
 
+from twostage_servo.portable_error import PortableError
+
 
 class RefusalCode(enum.StrEnum):
     """Stable names of the refusals; ``docs/control-socket.md`` says what each of them means to a client.
@@ -53,7 +55,7 @@ Obstacle = tuple[RefusalCode, str]
 """Code and text of a refusal."""
 
 
-class Refused(Exception):  # noqa: N818 - not a fault of the program: the answer to a request
+class Refused(PortableError):  # noqa: N818 - not a fault of the program: the answer to a request
     """A request that is not carried out.
 
     Parameters

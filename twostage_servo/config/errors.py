@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from twostage_servo.portable_error import PortableError
+
 
 class Problem(NamedTuple):
     """One thing that is wrong with a configuration.
@@ -36,7 +38,7 @@ class Problem(NamedTuple):
         return text.encode("utf-8", "backslashreplace").decode()
 
 
-class ConfigError(ValueError):
+class ConfigError(PortableError, ValueError):
     """The configuration cannot be used; ``problems`` holds everything that is wrong with it, in the file's order."""
 
     def __init__(self, problems: Sequence[Problem]) -> None:

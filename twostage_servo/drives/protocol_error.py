@@ -1,7 +1,9 @@
 """What is wrong with the settings of a drive's protocol."""
 
+from twostage_servo.portable_error import PortableError
 
-class ProtocolError(ValueError):
+
+class ProtocolError(PortableError, ValueError):
     """The protocol settings do not fit the drive, or each other.
 
     Attributes

@@ -29,6 +29,29 @@ class NotOperableError(Exception):
     """The axis does not even carry out the campaign's move without a fault."""
 
 
+async def _declare_position(world: World) -> None:
+    """Say where the axis is, again and again like an operator: with a noisy encoder it seems to move now and then.
+
+    Raises
+    ------
+    NotOperableError
+        If that is refused for long.
+    """
+    refusal = ""
+
+    def is_declared() -> bool:
+        nonlocal refusal
+        try:
+            world.axis.set_position(world.drive.position)
+        except Refused as refused:
+            refusal = str(refused)
+            return False
+        return True
+
+    if not await world.until(is_declared, _READY_S):
+        raise NotOperableError(f"the axis could not be told its position before the fault: {refusal}")
+
+
 class SimulatedApproach:
     """One way into a phase.
 
@@ -66,7 +89,7 @@ class SimulatedApproach:
             obstacle = world.axis.obstacle_to_arming()
             raise NotOperableError(f"the axis could not be armed before the fault: {obstacle and obstacle[1]}")
         if not world.axis.referenced:
-            world.axis.set_position(world.drive.position)
+            await _declare_position(world)
         await world.companions.start(_READY_S)
         await self._reach_the_phase(world)
         await world.seconds(self._random.uniform(0.0, world.period_s))
@@ -96,7 +119,7 @@ class SimulatedApproach:
         self._fault.prepare(world)
         await world.until(lambda: not world.axis.drive.is_stale, _READY_S)
         await world.seconds(5.0 * world.period_s)
-        world.axis.set_position(world.drive.position)
+        await _declare_position(world)
         await world.seconds(2.0 * world.period_s)
 
     async def _reach_the_phase(self, world: World) -> None:

@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 from twostage_servo.control.estimate import Estimate
 from twostage_servo.control.observer import DisturbanceObserver, KalmanGain, NoiseModel
 from twostage_servo.control.plant import DiscretePlant, Plant
+from twostage_servo.portable_error import PortableError
 
 
 class Stage(enum.IntEnum):
@@ -199,7 +200,7 @@ class ControlTask:
     rest_velocity: float
 
 
-class DesignError(ValueError):
+class DesignError(PortableError, ValueError):
     """No law can be designed for this task.
 
     Attributes
