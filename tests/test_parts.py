@@ -5,6 +5,8 @@ import sys
 from collections import Counter
 from pathlib import Path
 
+import pytest
+
 from tests.conftest import part_of
 
 TREE = Path(__file__).parents[1]
@@ -19,6 +21,7 @@ def test_every_test_is_in_one_part_with_all_of_its_parameters() -> None:
     assert min(sizes.values()) > 400
 
 
+@pytest.mark.long
 def test_a_part_leaves_the_others_out() -> None:
     collected = []
     for part in ([], ["--part", "0/2"], ["--part", "1/2"]):

@@ -628,12 +628,12 @@ def test_the_configuration_is_read_again_while_disarmed(machine: Machine) -> Non
     machine.ask("disarm")
 
     machine.config.write_text(slower.replace("pole = 14.0", "pole = -14.0", 1), encoding="utf-8")
-    error = machine.ask("reload", exit_code=3)["error"]
+    error = machine.ask("reload", exit_code=2)["error"]
     line = slower[: slower.index("pole = 14.0")].count("\n") + 1
     assert error["code"] == "config"
     assert f"{machine.config}:{line}: axis.plant.pole" in error["message"]
     machine.config.write_text(slower + "hub = false\n[service]\ntick_ms = 5.0\n", encoding="utf-8")
-    assert "restart the service" in machine.ask("reload", exit_code=3)["error"]["message"]
+    assert "restart the service" in machine.ask("reload", exit_code=2)["error"]["message"]
 
     machine.config.write_text(slower, encoding="utf-8")
     assert machine.ask("reload")["axis"]["state"] == "disarmed"
