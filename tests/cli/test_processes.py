@@ -278,6 +278,7 @@ def test_a_session_across_three_processes(machine: Machine, tmp_path: Path) -> N
     assert decoded["DriveHeartbeat"]
 
 
+@pytest.mark.long
 def test_a_drive_of_another_package_across_three_processes(machine: Machine, tmp_path: Path) -> None:
     """`run`, `drive` and the operator's verbs know no type of drives."""
     packages = tmp_path / "packages"
@@ -382,6 +383,7 @@ def test_what_a_law_had_learned_is_there_after_a_start_until_somebody_lets_it_fo
     assert not file.exists()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("law", [(), ("axis.law.type=adaptive", "axis.law.memory=file")], ids=["paper", "adaptive"])
 def test_nothing_is_imported_while_the_service_runs(machine: Machine, tmp_path: Path, law: tuple[str, ...]) -> None:
     """What a start leaves out must not be needed by a tick, a request or a trip: an import takes many ticks."""
@@ -497,6 +499,7 @@ def test_a_command_that_is_killed_in_mid_move_falls_under_the_policy(machine: Ma
     assert "service.holder_lost is stop" in stopped["move"]["reason"]
 
 
+@pytest.mark.long
 def test_a_command_that_is_interrupted_in_mid_move_leaves_the_axis_moving(machine: Machine) -> None:
     machine.drive()
     machine.service("service.holder_lost='stop'")
@@ -546,6 +549,7 @@ def test_a_jog_ends_with_its_command(machine: Machine, number: signal.Signals) -
         assert "has disconnected while it held the jog" in held["move"]["reason"]
 
 
+@pytest.mark.long
 def test_a_jog_ends_at_the_limit(machine: Machine) -> None:
     machine.drive()
     machine.service(JOG_TIMEOUT, "axis.limits.position_maximum=30.0")
@@ -591,6 +595,7 @@ def test_a_drive_that_is_killed_and_started_again_is_not_taken_for_the_one_befor
     assert "rebooted" in refused["message"]
 
 
+@pytest.mark.long
 def test_home_looks_for_the_switch(machine: Machine) -> None:
     machine.config.write_text(
         machine.config.read_text(encoding="utf-8") + "home_switch_from = -1000.0\nhome_switch_to = -10.0\n",

@@ -94,6 +94,7 @@ def cells(temporary: Path) -> dict[int, Cell]:
 # The cells ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("number", "expected", "how"), [
     (37, "Z", "missed_ticks"), (38, "Z", "SIGKILL"), (39, "H", "exit 0"), (42, "Z", "SIGABRT"), (54, "T", ""),
 ])  # fmt: skip
