@@ -470,6 +470,7 @@ def test_an_axis_whose_plant_is_off_its_model_may_go_a_quarter_farther(
         (0.85, 0.99, State.QUICK_STOPPING, 2.0),
         (0.85, 1.01, State.QUICK_STOPPING, 1.25),  # certain
         (0.85, 0.99, State.HOLDING, 1.25),  # not in a stop
+        (0.85, 0.99, State.SPEED_STAGE, 1.25),  # nor in a cruise
         (1.0, 0.99, State.QUICK_STOPPING, 1.0),
     ],
 )
@@ -480,6 +481,8 @@ def test_an_encoder_that_turns_round_unseen_in_a_stop_may_cost_twice_the_way(
     monkeypatch.setattr(type(soak.axis), "state", state)
     speed = at * certain_speed(soak.axis.design, slowest_certain_velocity(soak.axis.design), 0.0)
     bound = share * travel_bound(soak.axis.design, speed, -1.0)
+    for _ in range(40):
+        soak.watch.check(0.0, speed, 0.0)
     soak.watch.begin(-1.0, 0.0, speed, gain)
     assert soak.watch.check(0.99 * bound, speed, 0.0) is None
     assert soak.watch.check(1.01 * bound, speed, 0.0) is not None

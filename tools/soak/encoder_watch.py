@@ -41,8 +41,8 @@ travel on the model's own plant. The largest that 650 hours found is 1.213: a pl
 the pole on a tick of 1 ms, whose encoder turned round while it turned round itself, with all of its effort."""
 
 _HIDDEN_SHARE = 2.0
-"""The same for an encoder that turns round below the speed from which on `check` calls that certain, in a cruise or
-while the axis comes to rest. The largest that 1,800 hours found is 1.88: in a quick stop at 49 of 64 mm/s, on a plant
+"""The same for an encoder that turns round below the speed from which on `check` calls that certain, while the axis
+comes to rest. The largest that 1,800 hours found is 1.88: in a quick stop at 49 of 64 mm/s, on a plant
 with 0.85 of the gain and 0.73 of the pole and a tick of 1 ms, the axis ran away until 310 ms later it was told."""
 
 _CRUISE_S = 0.3
@@ -302,7 +302,7 @@ class EncoderWatch:
         is_scale = self.factor > 0.0
         self._is_certain = not is_scale or (shows and steady) or (from_rest and self._is_refused())
         self._is_slow, self._from_rest = is_scale and not shows, from_rest
-        self._is_hidden = self.factor < 0.0 and steady and not shows
+        self._is_hidden = self.factor < 0.0 and not shows and self._axis.state in BRAKING
         self._ticks_beyond = 0
         self._effort_before = None if shows or self.factor else self._axis.effort
         self._set_bound()

@@ -14,7 +14,7 @@ _MOTION: Final = 3.0
 """Standard deviations of a sample from which the axis is seen to move."""
 
 _HELD_SHARE: Final = 0.14
-"""Share of the effort limit that feedback may add until then: as much as any load that is expected."""
+"""Share of the effort limit that feedback may add until then: three times the load that is expected at most."""
 
 _LONGEST_HELD_S: Final = 0.15
 """Time after which it may add more in any case: by then a stall is detected, or there is friction that takes more."""
