@@ -1,6 +1,8 @@
 """What a motion believes of its drive, tick by tick, with the drive's report written by hand."""
 
 import math
+import statistics
+from random import Random
 from types import SimpleNamespace
 from typing import Any
 
@@ -435,6 +437,29 @@ def test_an_encoder_that_still_stands_as_a_move_begins_takes_no_disturbance_away
     bench.observer.disturbance = 1.0
     bench.step(10.0)
     assert bench.observer.disturbance == pytest.approx(1.0, abs=0.5)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("step", "moves"), [(0.141, False), (0.142, True)])
+def test_two_samples_that_differ_by_no_more_than_their_noise_make_no_speed(
+    sign: float, step: float, moves: bool
+) -> None:
+    """0.1 mm each, √2 of that for the difference. Otherwise v = a22 y/a12, and a22 of that a tick later."""
+    bench = Bench().track(10.0, 10.0 + sign * step)
+    speed = 0.869358**2 * sign * step / 0.00933155
+    assert bench.observer.velocity == pytest.approx(speed if moves else 0.0, rel=1e-4)
+    assert bench.observer.position == pytest.approx(10.0 + sign * (step + 0.869358 * step * moves), rel=1e-5)
+    assert bench.motion.knows_speed
+
+
+def test_an_axis_at_rest_behind_a_noisy_encoder_is_not_armed_with_a_speed() -> None:
+    """After four samples, over a hundred noises of 0.0316 mm; a speed of the first two would last for ten."""
+    random = Random(3)  # noqa: S311 - noise, not a secret
+    speeds = []
+    for _ in range(100):
+        bench = Bench().track(*(random.gauss(10.0, 0.0316) for _ in range(4)))
+        speeds.append(bench.observer.velocity)
+    assert statistics.pstdev(speeds) < 0.5
 
 
 def test_the_speed_is_known_from_the_second_sample_on_until_the_track_is_lost() -> None:

@@ -88,11 +88,11 @@ class Motion:
         self._drive = drive
         self._rest_velocity = design.rest_velocity
         self._limits = design.settings.limits
-        self._tracking = Tracking(self.law.observer, drive, self._gate)
         self._date = SampleDate(self.law.observer, drive, design.period_s)
         self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
         self._resolution = 1.5 * resolution
         noise: float = design.noise.measurement_variance**0.5
+        self._tracking = Tracking(self.law.observer, drive, self._gate, noise)
         self._least_motion = max(self._resolution, _NOISE_DEVIATIONS * noise)
         self._recent: deque[float] = deque(maxlen=design.ticks(design.settings.limits.stall_time_ms) + 1)
         self._forget()

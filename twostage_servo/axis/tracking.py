@@ -1,5 +1,6 @@
 """Follows an axis that nothing drives, so that arming starts from its position and its speed."""
 
+import math
 from collections.abc import Callable
 
 from twostage_servo.axis.drive_report import DriveReport
@@ -17,6 +18,8 @@ class Tracking:
         What the drive reports.
     gate
         Returns how far a sample may lie from its prediction at a velocity, in axis unit.
+    noise
+        Standard deviation of a sample, in axis unit.
 
     Attributes
     ----------
@@ -26,12 +29,17 @@ class Tracking:
         Whether the last sample was not where the model expects it.
     """
 
-    __slots__ = ("_drive", "_gate", "_last", "_observer", "_samples", "_ticks_since_last", "is_on", "was_outlier")
+    __slots__ = (
+        "_drive", "_gate", "_last", "_least_step", "_observer", "_samples", "_ticks_since_last", "is_on", "was_outlier",
+    )  # fmt: skip
 
-    def __init__(self, observer: DisturbanceObserver, drive: DriveReport, gate: Callable[[float], float]) -> None:
+    def __init__(
+        self, observer: DisturbanceObserver, drive: DriveReport, gate: Callable[[float], float], noise: float
+    ) -> None:
         self._observer = observer
         self._drive = drive
         self._gate = gate
+        self._least_step = math.sqrt(2.0) * noise
         self._samples = 0
         self._last = 0.0  # sample, in axis unit
         self._ticks_since_last = 0
@@ -67,8 +75,11 @@ class Tracking:
             self.was_outlier = True
         else:
             # An axis that moves when it is first seen, or is knocked: two samples say how fast.
-            before = position - self._drive.encoder.step(self._last, position)
-            observer.start_moving(before, position, self._ticks_since_last)
+            step = self._drive.encoder.step(self._last, position)
+            if abs(step) > self._least_step:
+                observer.start_moving(position - step, position, self._ticks_since_last)
+            else:  # the noise of two samples of an axis at rest makes a speed, which lasts for ten samples
+                observer.reset(position)
             self._samples += 1
             self.was_outlier = False
         if position is not None:
