@@ -61,7 +61,7 @@ class ByHand:
         for change in self.changes:
             change.begin(model)
         self.sums = [0.0] * len(self.gains)
-        self.least_square = self.total = 0.0
+        self.least_square = self.total = self.noise = 0.0
 
     def _with_efforts(self, effort: float, before: float) -> list[tuple[DisturbanceObserver, float]]:
         late = [before if one.is_delayed else effort for one in ACCEPTED]
@@ -82,7 +82,7 @@ class ByHand:
         self.sums = [0.93 * old + one.innovation**2 for old, one in zip(self.sums, self.gains, strict=True)]
         for change, plant in zip(self.changes, self.plants, strict=True):
             origin = self.accepted[plant] if plant else self.model
-            change.update(shown, effort, lag_s, origin, self.least_square, opens, least)
+            change.update(shown, effort, lag_s, origin, self.least_square, opens, least, self.noise)
 
     def shift(self, distance: float) -> None:
         for observer in (self.model, *self.accepted, *self.gains):
@@ -122,6 +122,7 @@ def test_every_hypothesis_gets_every_tick(
             least = 0.125 + 0.25 * 0.004 * 50.0
             opens = max(9.0 * test._noise_square, (0.4 * least) ** 2)
             by_hand.update(shown, effort, before, lag_s, opens, least)
+            by_hand.noise = test._noise_square
             assert test.is_sure is (by_hand.least_square <= 0.175**2)
         by_hand.compare(test)
         if n == 5:
@@ -197,7 +198,8 @@ def with_changes(**evidence: tuple[float, ...]) -> ModelMonitor:
         found = [change for change in test._changes if change.factor == factors[name]]
         for change, total in zip(found, sums, strict=False):
             change.ticks, change.accepted_sum = 5, total
-    test.surprise, test._sum, test._still_sum = 1.0, 1.0, 1e9
+    test.surprise, test._still_sum = 1.0, 1e9
+    test._window.total = test._window._lasting = 1.0
     test._is_lasting = True
     test._sums = [1.0] * len(OTHER_GAINS)
     return test
@@ -268,14 +270,15 @@ def test_it_seems_to_stand_by_the_evidence_for_a_change_however_slow_it_was(
     test.start(at_rest())
     change = next(change for change in test._changes if change.factor == 0.0)
     change.ticks, change.accepted_sum, change.own_sum = 1, 1.0, own
-    test.surprise, test._sum, test._least, test._noise_square = 1.0, 1.0, least, noise
+    test.surprise, test._least, test._noise_square = 1.0, least, noise
+    test._window.total = test._window._lasting = 1.0
     assert test.seems_to_stand is expected
     assert test.better_factor is None
 
 
 def test_it_does_not_seem_to_stand_where_most_of_the_surprise_came_before() -> None:
     test = with_changes(standing=(1.0,))
-    test._sum = 1.12
+    test._window._lasting = 1.12
     assert not test.seems_to_stand
 
 

@@ -44,9 +44,10 @@ def show(
     origin: DisturbanceObserver | None = None,
     square: float = 1.0,
     opens: float = NEVER,
+    noise: float = 0.0,
 ) -> None:
     """Give it a sample that surprises the accepted plants by 1 mm, unless another square is given."""
-    one.update(sample, effort, lag_s, origin or estimate(), square, opens, LEAST)
+    one.update(sample, effort, lag_s, origin or estimate(), square, opens, LEAST, noise)
 
 
 @pytest.mark.parametrize("period_s", [0.002, 0.01, 0.02])
@@ -324,6 +325,22 @@ def test_it_has_to_explain_as_much_as_decides_more_than_the_accepted_plants(own:
     one = change(-1.0, estimate())
     one.ticks, one.accepted_sum, one.own_sum = 3, 0.01575, own
     assert one.explains(0.125, 0.01575, 0.0) is expected
+
+
+@pytest.mark.parametrize(("factor", "scaled"), [(-1.0, 1.0), (0.5, 1.0), (2.0, 4.0)])
+@pytest.mark.parametrize(("share", "expected"), [(0.99, False), (1.01, True)])
+def test_a_change_has_to_surprise_by_eight_times_the_noise_that_there_was_before_it(
+    factor: float, scaled: float, share: float, expected: bool
+) -> None:
+    """In three samples 0.01 (1 + 0.93 + 0.93²), four times of it on twice the scale; what comes later is its own."""
+    one = change(factor, estimate())
+    show(one, 10.0 - (1.0 - factor) * estimate().plant.a12 * 50.0, 0.0, noise=0.01)
+    show(one, one._observer.position, 0.0, noise=9.0)
+    one.ticks, one.own_sum, one.accepted_sum = 3, 0.0, share * 8.0 * scaled * 0.01 * (1.0 + 0.93 + 0.93**2)
+    assert one.explains(0.125, one.accepted_sum, 0.0) is expected
+    one.begin(estimate())
+    one.ticks, one.accepted_sum = 3, 0.1
+    assert one.explains(0.125, 0.1, 0.0)
 
 
 @pytest.mark.parametrize(("window", "expected"), [(1.111, True), (1.112, False)])

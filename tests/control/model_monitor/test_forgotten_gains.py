@@ -68,7 +68,7 @@ def test_only_the_other_gains_are_forgotten() -> None:
     assert test.surprise == surprise
     assert [(one.position, one.velocity, one.disturbance) for one, _ in test._accepted] == accepted
     assert [(change.own_sum, change.accepted_sum, change.ticks) for change in test._changes] == changes
-    assert test._sums == [test._sum] * len(OTHER_GAINS)
+    assert test._sums == [test._window.total] * len(OTHER_GAINS)
     for observer in test._gains:
         assert (observer.position, observer.velocity) == (axis.observer.position, axis.observer.velocity)
         assert observer.disturbance == axis.observer.disturbance

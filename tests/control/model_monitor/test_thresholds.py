@@ -28,7 +28,8 @@ def unexplained(shares: dict[float, float], surprise: float = 1.0) -> list[float
 def verdict(surprise: float, shares: dict[float, float]) -> float | None:
     """Return what is told of a surprise, and of the share of it that another gain leaves unexplained."""
     test = ModelMonitor(PLANT, PERIOD_S, NOISE)
-    test.surprise, test._sum, test._still_sum = surprise, surprise**2, 1e9
+    test.surprise, test._still_sum = surprise, 1e9
+    test._window.total = test._window._lasting = surprise**2
     test._is_lasting = True
     test._sums = unexplained(shares, surprise)
     return test.better_factor
@@ -85,7 +86,8 @@ def test_one_sample_decides_nothing() -> None:
 
 def test_what_an_encoder_that_stands_still_explains_as_well_is_no_other_gain() -> None:
     test = ModelMonitor(PLANT, PERIOD_S, NOISE)
-    test.surprise, test._sum, test._sums = 1.0, 1.0, unexplained({0.45: 0.01})
+    test.surprise, test._sums = 1.0, unexplained({0.45: 0.01})
+    test._window.total = test._window._lasting = 1.0
     test._is_lasting = True
     for still, told in ((0.0399, None), (0.0401, 0.45)):
         test._still_sum = still

@@ -35,6 +35,10 @@ does not explain: a rebound from a collision would have to have 0.7 to 1.3 times
 CHANGE_RATIO: Final = 8.0
 """The same with the noise."""
 
+NOISE_RATIO: Final = 8.0
+"""How many times smaller what the noise alone makes has to be. Behind a noisy encoder a load has looked like half the
+scale, 48 times better, while all that this did not explain was put down to the noise."""
+
 CHANGE_TICKS: Final = 3
 """Samples that a change has to explain, however soon they come: a spike is one, and comes back with the next."""
 
@@ -126,8 +130,8 @@ class EncoderChange:
 
     __slots__ = (
         "_answer_ticks", "_disturbance", "_forgetting", "_has_explained_less", "_has_set_out", "_in_part",
-        "_jump_share", "_least_ticks", "_missing_friction", "_nominal_step", "_observer", "_patience", "_position",
-        "_runaway_ticks", "_step", "_truth", "_velocity", "accepted_sum", "factor", "own_sum", "ticks",
+        "_jump_share", "_least_ticks", "_missing_friction", "_noise_before", "_nominal_step", "_observer", "_patience",
+        "_position", "_runaway_ticks", "_step", "_truth", "_velocity", "accepted_sum", "factor", "own_sum", "ticks",
     )  # fmt: skip
 
     def __init__(self, factor: float, deviation: Deviation, model: Plant, period_s: float, noise: NoiseModel) -> None:
@@ -156,6 +160,7 @@ class EncoderChange:
         self._position, self._velocity, self._disturbance = origin.position, origin.velocity, origin.disturbance
         self.own_sum = self.accepted_sum = 0.0
         self.ticks = 0
+        self._noise_before = 0.0
         self._in_part = self._has_set_out = self._has_explained_less = False
 
     def _set_out(self) -> None:
@@ -190,6 +195,7 @@ class EncoderChange:
         least_square: float,
         opening_square: float,
         least: float,
+        noise_square: float,
     ) -> None:
         """Take a sample.
 
@@ -207,6 +213,8 @@ class EncoderChange:
             What that has to be for a first sample to show a part of a change.
         least
             The surprise that it takes to decide anything, in axis unit.
+        noise_square
+            What the noise of a sample adds to a sum of squares, as it was before this one, in (axis unit)².
         """
         if not self._has_set_out:
             velocity = self._velocity
@@ -225,6 +233,8 @@ class EncoderChange:
         self._truth.predict(effort)
         own = self.own_sum = self._forgetting * self.own_sum + observer.innovation * observer.innovation
         accepted = self.accepted_sum = self._forgetting * self.accepted_sum + least_square
+        if not self.ticks:
+            self._noise_before = noise_square
         self.ticks += 1
         if accepted <= own:
             if accepted + self._patience * least * least <= own:
@@ -286,14 +296,16 @@ class EncoderChange:
         window_sum
             The whole surprise in the window, squared.
         noise_square
-            What a sample's noise adds to that, as it was before.
+            What the noise of a sample adds to that, by now.
         """
         enough = RUNAWAY_SURPRISE * least
         runs_away = self.ticks >= self._runaway_ticks and self.accepted_sum > enough * enough
         needed = CHANGE_RATIO if runs_away else CHANGE_EVIDENCE
+        noise_sum = self._noise_sum(noise_square)
         return (
             self.evidence() > least * least
-            and self.accepted_sum > needed * (self.own_sum - self._noise_sum(noise_square))
+            and self.accepted_sum > needed * (self.own_sum - noise_sum)
+            and self.accepted_sum > NOISE_RATIO * self._noise_sum(self._noise_before)
             and self.accepted_sum > CHANGE_RATIO * self.own_sum
             and (self.accepted_sum > CHANGE_SHARE * window_sum or self._is_beyond_doubt(least))
         )

@@ -36,6 +36,7 @@ from twostage_servo.control.model_monitor.hypotheses import (
 )
 from twostage_servo.control.model_monitor.identified_plant import IdentifiedPlant
 from twostage_servo.control.model_monitor.reversal import ReversalWatch
+from twostage_servo.control.model_monitor.surprise import Surprise
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel
 from twostage_servo.control.per_time import NOMINAL_S
 from twostage_servo.control.plant import Plant
@@ -92,7 +93,7 @@ class ModelMonitor:
     __slots__ = (
         "_accepted", "_changes", "_date_share_s", "_forgetting", "_gains", "_identified",
         "_innovation", "_is_lasting", "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins",
-        "_reversal", "_samples", "_still_sum", "_sum", "_sums", "is_sure", "surprise",
+        "_reversal", "_samples", "_still_sum", "_sums", "_window", "is_sure", "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
@@ -123,7 +124,7 @@ class ModelMonitor:
         self._innovation: float = 0.0
         self._noise_square: float = 0.0
         self._sums = [0.0] * len(OTHER_GAINS)
-        self._sum = 0.0
+        self._window = Surprise(self._forgetting, self._accepted[0][0], slow_observer(plant, period_s, noise))
         self.surprise = 0.0
 
     def start(self, model: DisturbanceObserver, effort: float = 0.0) -> None:
@@ -142,9 +143,9 @@ class ModelMonitor:
         self._late_effort.start(effort)
         self._still_sum = 0.0
         self._samples = [model.position] * len(self._samples)
-        self._sum = model.innovation * model.innovation / (1.0 - self._forgetting)
-        self._sums = [self._sum] * len(OTHER_GAINS)
-        self.surprise = self._sum**0.5
+        self._window.start(model.innovation * model.innovation)
+        self._sums = [self._window.total] * len(OTHER_GAINS)
+        self.surprise = self._window.total**0.5
         self._reversal.start(model.innovation * model.innovation)
 
     def accept(self, plant: Plant, estimate: Estimate, *, is_late: bool) -> None:
@@ -171,7 +172,7 @@ class ModelMonitor:
         """
         for observer in self._gains:
             observer.continue_from(model)
-        self._sums = [self._sum] * len(OTHER_GAINS)
+        self._sums = [self._window.total] * len(OTHER_GAINS)
         self._reversal.start(0.0)
 
     def shift(self, distance: float) -> None:
@@ -179,6 +180,7 @@ class ModelMonitor:
         for observer, _ in self._accepted:
             observer.shift(distance)
         self._identified.shift(distance)
+        self._window.shift(distance)
         for observer in self._gains:
             observer.shift(distance)
         for change in self._changes:
@@ -191,6 +193,7 @@ class ModelMonitor:
         for observer, is_delayed in self._accepted:
             observer.predict(late_effort if is_delayed else effort)
         self._identified.predict(effort)
+        self._window.predict(effort)
         for observer in self._gains:
             observer.predict(effort)
         for change in self._changes:
@@ -226,10 +229,13 @@ class ModelMonitor:
         self._reversal.update(least_square, step * step)
         self._least = self._least_at_rest + self._date_share_s * speed
         self.is_sure = least_square <= self._least * self._least
+        noise_square = self._noise_square
         self._measure_noise(model.innovation)
         opening_square = self._opening_square()
         for change, origin in zip(self._changes, self._origins, strict=True):
-            change.update(sample, effort, lag_s, origin or model, least_square, opening_square, self._least)
+            change.update(
+                sample, effort, lag_s, origin or model, least_square, opening_square, self._least, noise_square
+            )
 
     def _compare_accepted(self, sample: float, effort: float, late_effort: float, lag_s: float) -> float:
         """Give the accepted plants a tick, and return their smallest squared innovation in (axis unit)²."""
@@ -241,8 +247,8 @@ class ModelMonitor:
                 least_square = square
         least_square = min(least_square, self._identified.update(sample, effort, lag_s))
         self._is_lasting = self.surprise > LASTING_SHARE * self._least
-        self._sum = self._forgetting * self._sum + least_square
-        self.surprise = self._sum**0.5
+        self._window.update(least_square, sample, effort, lag_s, self._least * self._least)
+        self.surprise = self._window.total**0.5
         return least_square
 
     def _measure_noise(self, innovation: float) -> None:
@@ -274,7 +280,7 @@ class ModelMonitor:
         best = needed.index(least)
         if STILL_EVIDENCE * self._sums[best] >= self._still_sum:  # an encoder that stands still explains as much
             return None
-        return OTHER_GAINS[best].factor if self._sum > least else None
+        return OTHER_GAINS[best].factor if self._window.total > least else None
 
     @property
     def least(self) -> float:
@@ -290,7 +296,7 @@ class ModelMonitor:
         return max(change.jump_velocity(self._least_at_rest, self._date_share_s) for change in self._changes)
 
     def _is_certain(self, change: EncoderChange) -> bool:
-        return change.is_certain(self._least, self._sum, self._noise_square)
+        return change.is_certain(self._least, self._window.lasting, self._noise_square)
 
     @property
     def seems_to_stand(self) -> bool:
@@ -300,7 +306,7 @@ class ModelMonitor:
         since makes it a stall, or a fault of the encoder.
         """
         likeliest = max(self._changes, key=EncoderChange.evidence)
-        return likeliest.factor == 0.0 and likeliest.explains(self._least, self._sum, self._noise_square)
+        return likeliest.factor == 0.0 and likeliest.explains(self._least, self._window.lasting, self._noise_square)
 
     def reckon(self, factor: float) -> Reckoning:
         """Return what the model says of the axis, where its encoder is in doubt.
