@@ -55,6 +55,16 @@ def weak(
     return found
 
 
+@pytest.mark.parametrize(("tick_s", "time_ms", "warns"), [(0.01, 4.9, True), (0.01, 5.0, False), (0.02, 5.0, True)])
+@pytest.mark.parametrize("is_cyclic", [True, False])
+def test_a_drive_that_samples_on_its_own_clock_needs_half_a_tick(
+    tick_s: float, time_ms: float, warns: bool, is_cyclic: bool
+) -> None:
+    design = changed(tick_s, limits={"innovation_time_ms": time_ms})
+    found = [one.key for one in weak_limits(design, 0.001, heartbeat=True, is_cyclic=is_cyclic)]
+    assert (("limits", "innovation_time_ms") in found) is (warns and is_cyclic)
+
+
 def keys(**tables: Any) -> list[str]:
     return [".".join(one.key) for one in weak(**tables)]
 

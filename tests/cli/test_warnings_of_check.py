@@ -39,6 +39,14 @@ def test_shipped_files_are_warned_of_what_is_true_alone(capsys: pytest.CaptureFi
     assert keys == TRULY.get(name, [])
 
 
+def test_a_drive_with_a_clock_of_its_own_may_misdate_samples_by_half_a_tick(capsys: pytest.CaptureFixture[str]) -> None:
+    code, told = check(capsys, "axis.limits.innovation_time_ms=3", config="free_running.toml")
+    (one,) = told["warnings"]
+    assert (code, one["key"], one["value"]) == (0, "axis.limits.innovation_time_ms", 3.0)
+    assert "wrongly by 5 ms, 1.25 mm at 250 mm/s" in one["disables"]
+    assert one["do"] == "set at least 5"
+
+
 @pytest.mark.parametrize(
     ("override", "disables"),
     [

@@ -1,7 +1,8 @@
 """Limits that are valid, and so wide that what they stand for is not protected: each against the axis' own scale.
 
-Nothing is refused here: a limit may be wide on purpose. Two scales serve: how far the axis goes at its largest velocity
-(against ``position_overrun``, in which it must come to rest), and how long it takes to cross its whole travel.
+And one that may be so narrow that a healthy axis trips. Nothing is refused here: a limit may be wide on purpose. Two
+scales serve: how far the axis goes at its largest velocity (against ``position_overrun``, in which it must come to
+rest), and how long it takes to cross its whole travel.
 """
 
 from collections.abc import Iterator
@@ -38,7 +39,9 @@ class WeakLimit(NamedTuple):
     do: str
 
 
-def weak_limits(design: AxisDesign, resolution: float, *, heartbeat: bool) -> Iterator[WeakLimit]:
+def weak_limits(
+    design: AxisDesign, resolution: float, *, heartbeat: bool, is_cyclic: bool = False
+) -> Iterator[WeakLimit]:
     """Yield the limits of an axis that disable what they stand for.
 
     Parameters
@@ -49,7 +52,11 @@ def weak_limits(design: AxisDesign, resolution: float, *, heartbeat: bool) -> It
         Step in which the encoder's position is reported, in axis unit; 0 if it has none.
     heartbeat
         Whether the drive has a heartbeat.
+    is_cyclic
+        Whether the drive samples on its own clock.
     """
+    if is_cyclic:
+        yield from _dates(design)
     yield from _unseen_travel(design)
     yield from _times(design, heartbeat=heartbeat)
     yield from _stops(design)
@@ -103,6 +110,21 @@ def _unseen_travel(design: AxisDesign) -> Iterator[WeakLimit]:
                 f"{unit} in which the axis must come to rest past its limits",
                 "set a few times the usual error of a sample",
             )
+
+
+def _dates(design: AxisDesign) -> Iterator[WeakLimit]:
+    """Yield the time by which samples may be misdated, where a frame that misses its tick takes more of it."""
+    limits, unit, half_ms = design.settings.limits, design.settings.unit, 500.0 * design.period_s
+    if limits.innovation_time_ms < half_ms:
+        way = 1e-3 * half_ms * limits.velocity
+        yield WeakLimit(
+            ("limits", "innovation_time_ms"),
+            limits.innovation_time_ms,
+            f"moves whose frames come late: the drive samples on its own clock, so that a frame which just misses its "
+            f"tick may be dated wrongly by {half_ms:g} ms, {way:.4g} {unit} at {limits.velocity:g} {unit}/s, and a "
+            "healthy axis then trips",
+            f"set at least {half_ms:g}",
+        )
 
 
 def _times(design: AxisDesign, *, heartbeat: bool) -> Iterator[WeakLimit]:

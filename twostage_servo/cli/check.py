@@ -119,7 +119,11 @@ def _warnings(loaded: "LoadedConfig[Config]", axis_loop: "AxisLoop") -> "Iterato
     from twostage_servo.axis.weak_limits import weak_limits
 
     traits = axis_loop.drive.traits
-    for weak in weak_limits(axis_loop.axis.design, traits.position_quantum, heartbeat=traits.has_heartbeat):
+    is_cyclic = traits.sampling == "cyclic"
+    found = weak_limits(
+        axis_loop.axis.design, traits.position_quantum, heartbeat=traits.has_heartbeat, is_cyclic=is_cyclic
+    )
+    for weak in found:
         yield _warning(loaded.problem(("axis", *weak.key), weak.disables), weak.value, weak.do)
 
 
