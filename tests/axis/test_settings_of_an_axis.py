@@ -6,6 +6,7 @@ import pytest
 from pydantic import ValidationError
 
 from tests.axis.rig import DEMO
+from twostage_servo.axis.law_settings import LawSettings, choose_law
 from twostage_servo.axis.settings import (
     ApproachSettings,
     AxisSettings,
@@ -16,6 +17,7 @@ from twostage_servo.axis.settings import (
     WindowSettings,
 )
 from twostage_servo.control.laws.paper_type import PaperSettings
+from twostage_servo.control.laws.registry import LAWS
 from twostage_servo.settings.base import Settings
 
 NUMBERS: dict[type[Settings], str] = {
@@ -182,3 +184,18 @@ def test_a_reference_that_is_not_given_need_not_lie_within_the_limits() -> None:
         AxisSettings.model_validate(
             DEMO | {"homing": {"method": "switch"}, "limits": DEMO["limits"] | {"position_minimum": 100.0}}
         )
+
+
+# The law --------------------------------------------------------------------------------------------------------------
+
+
+def test_the_keys_of_a_law_are_those_of_each_that_is_installed() -> None:
+    fields = LawSettings.all_fields()
+    assert fields["adaptive"].annotation is LAWS.get("adaptive").settings
+    assert fields["paper"] is LawSettings.model_fields["paper"]
+
+
+@pytest.mark.parametrize("value", [{"typo": 3}, {"memory": "none"}, {"paper": {}}, {"type": "paper"}, "adaptive"])
+def test_no_law_is_looked_for_that_is_not_named(value: object) -> None:
+    """What is wrong there is told with everything else that is, later."""
+    assert choose_law(value) is value
