@@ -52,8 +52,8 @@ def test_the_default_move(capsys: pytest.CaptureFixture[str]) -> None:
     "drive",
     [
         (),
-        ("simulation.noise_std=0.0316", "simulation.quantum=0.01"),
-        ("simulation.gain=234", "simulation.pole=9.8"),
+        pytest.param(("simulation.noise_std=0.0316", "simulation.quantum=0.01"), marks=pytest.mark.long),
+        pytest.param(("simulation.gain=234", "simulation.pole=9.8"), marks=pytest.mark.long),
     ],
     ids=["nominal", "noise", "30 percent off"],
 )

@@ -105,11 +105,13 @@ def test_a_share_of_the_faults_is_met(cells: dict[int, Cell], number: int, expec
     assert (cell.travel > 0.1) == (number != 54)
 
 
+@pytest.mark.long
 def test_nothing_is_left_behind(cells: dict[int, Cell], temporary: Path) -> None:
     assert list(temporary.iterdir()) == []
     assert processes_in(temporary) == []
 
 
+@pytest.mark.long
 def test_the_verdict_can_fail(cells: dict[int, Cell]) -> None:
     """A service that is not stopped drives on to its set-point, and enables the drive ever after."""
     cell = cells[0]

@@ -124,6 +124,7 @@ def test_the_first_move_after_a_restart_is_as_good_as_the_third_before_it(
     assert after[1:] == pytest.approx([before[2]] * 2, abs=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("memory", ["moves", "none"])
 def test_without_being_asked_for_nothing_is_written_or_read(tmp_path: Path, memory: str) -> None:
     run(tmp_path, one_move)
@@ -209,6 +210,7 @@ def test_an_operator_erases_it(tmp_path: Path) -> None:
     assert run(tmp_path, nothing) == []
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("overrides", "told"),
     [
@@ -230,6 +232,7 @@ def test_what_was_learned_of_another_plant_or_tick_is_not_believed(
     assert told in line["error"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
@@ -270,6 +273,7 @@ def test_a_file_is_believed_no_more_than_identification_itself(
     assert line["event"] == RESTORED
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
 def test_a_torn_file_is_not_believed(tmp_path: Path, share: float) -> None:
     run(tmp_path, one_move)
@@ -296,6 +300,7 @@ def test_a_folder_that_cannot_be_written_is_told_once_and_the_service_goes_on(tm
     assert (line["event"], line["log_level"], line["folder"]) == (UNWRITABLE, "warning", str(folder))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("key", "moves_after"), [("cruise_velocity = 100.0", 1), ("pole = 14.0  ", 0)])
 def test_a_configuration_that_is_read_again_keeps_the_file_and_a_trip_then_erases_it(
     tmp_path: Path, key: str, moves_after: int
@@ -403,6 +408,7 @@ async def trips(world: World, _: Callable[[], Awaitable[dict[str, Any]]]) -> Non
     await world.seconds(0.02)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("what", [forgets, trips])
 @pytest.mark.parametrize("is_marked", [True, False])
 def test_a_file_that_cannot_be_erased_is_told_and_is_not_used_again_where_it_can_be_marked(

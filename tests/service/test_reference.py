@@ -23,6 +23,7 @@ REQUIRED = "axis.homing.required=true"
 NO_HEARTBEAT = (
     "protocol.heartbeat.message=false", "protocol.heartbeat.state=false", "protocol.heartbeat.boot_counter=false",
 )  # fmt: skip
+LONG = pytest.mark.long
 PLACE = 300.0
 
 
@@ -56,8 +57,8 @@ async def never_moves_wrongly(world: World, zero: float) -> None:
     assert world.drive.position == pytest.approx(zero + 10.0, abs=0.2)
 
 
-@pytest.mark.parametrize("doing", ["disarmed", "holding", "moving"])
-@pytest.mark.parametrize("off_s", [0.015, 0.2, 2.0])
+@pytest.mark.parametrize("doing", ["disarmed", pytest.param("holding", marks=LONG), "moving"])
+@pytest.mark.parametrize("off_s", [0.015, pytest.param(0.2, marks=LONG), 2.0])
 @pytest.mark.parametrize("told_by", ["a boot counter", "an old boot counter", "no heartbeat"])
 def test_a_drive_that_was_off_is_never_taken_for_the_one_before(doing: str, off_s: float, told_by: str) -> None:
     async def script(world: World) -> None:
@@ -81,8 +82,8 @@ def suspend(world: World, stage: str, suspended_s: float) -> None:
 
 
 @pytest.mark.parametrize("stage", ["between two ticks", "in a tick"])
-@pytest.mark.parametrize("suspended_s", [0.05, 0.2, 1.0, 5.0])
-@pytest.mark.parametrize("velocity", [20.0, 100.0, 250.0])
+@pytest.mark.parametrize("suspended_s", [0.05, pytest.param(0.2, marks=LONG), 1.0, pytest.param(5.0, marks=LONG)])
+@pytest.mark.parametrize("velocity", [pytest.param(20.0, marks=LONG), 100.0, 250.0])
 def test_a_service_that_was_suspended_in_a_move_keeps_its_reference_where_the_axis_only_coasted(
     stage: str, suspended_s: float, velocity: float
 ) -> None:
@@ -105,7 +106,7 @@ def test_a_service_that_was_suspended_in_a_move_keeps_its_reference_where_the_ax
 @pytest.mark.parametrize("stage", ["between two ticks", "in a tick"])
 @pytest.mark.parametrize("suspended_s", [0.05, 1.0])
 @pytest.mark.parametrize("off_s", [0.015, 0.2])
-@pytest.mark.parametrize("told_by", ["a boot counter", "an old boot counter", "no heartbeat"])
+@pytest.mark.parametrize("told_by", ["a boot counter", pytest.param("an old boot counter", marks=LONG), "no heartbeat"])
 def test_a_drive_that_was_off_while_the_service_was_suspended_is_not_taken_for_the_one_before(
     stage: str, suspended_s: float, off_s: float, told_by: str
 ) -> None:
