@@ -30,4 +30,4 @@ def _design(settings: AdaptiveSettings, task: ControlTask) -> AdaptiveDesign:
     return design_adaptive(task, settings.encoder_noise, learns=settings.identification)
 
 
-ADAPTIVE: Final = LawType(AdaptiveSettings, _design)
+ADAPTIVE: Final = LawType(AdaptiveSettings, _design, smooths=True)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 
 from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
 from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
@@ -18,6 +19,7 @@ from twostage_servo.control.laws.adaptive.rules import (
     loop_period_s,
     noise_unit,
 )
+from twostage_servo.control.laws.adaptive.smoothing import Smoothing
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
 from twostage_servo.control.laws.margins import (
     LEAST_MODULUS_MARGIN,
@@ -89,6 +91,8 @@ class AdaptiveDesign(StopsByRamp):
     def _braking_way(self, velocity: float) -> float:
         """Return what the reference goes from there on, at a velocity greater than 0, without that tick."""
         task, deceleration = self.task, self.deceleration
+        if isfinite(task.jerk):
+            return 0.5 * velocity * Smoothing(task).change_s(velocity, deceleration, braking=True)
         ways = self._model(self._poles).ways
         gain, step = abs(task.plant.gain), task.effort_rate_limit * task.period_s
         shape = Shape.at(velocity, velocity, velocity, deceleration, gain, step, ways)
@@ -99,6 +103,9 @@ class AdaptiveDesign(StopsByRamp):
         task, braking = self.task, self.deceleration
         rising = min(task.acceleration_limit, abs(task.plant.gain) * task.effort_limit)
         least = max(distance - window, 0.0)
+        if isfinite(task.jerk):
+            moving_s = Smoothing(task).move_s(least, velocity, rising, braking)
+            return moving_s + task.period_s + _SETTLING_TICKS * loop_period_s(task)
         top = min(velocity, math.sqrt(2.0 * least * rising * braking / (rising + braking)))
         cruise = 0.0 if top <= 0.0 else least / top - 0.5 * top / rising - 0.5 * top / braking
         averaged = self._braking_way(top) - top * top / (2.0 * braking)
