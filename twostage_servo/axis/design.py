@@ -140,8 +140,10 @@ class AxisDesign:
             return self.law.stopping_time_s(velocity, deceleration)
         rising_s = deceleration / self.jerk
         fastest = abs(velocity) + 0.5 * deceleration * rising_s
-        return rising_s + self.law.stopping_time_s(fastest, deceleration) + smoothing_time_s(
-            fastest, deceleration, self.jerk
+        return (
+            rising_s
+            + self.law.stopping_time_s(fastest, deceleration)
+            + smoothing_time_s(fastest, deceleration, self.jerk)
         )
 
     def _law(self, gain: Triple) -> Law:

@@ -174,7 +174,7 @@ class Operation:
     def brake(
         self, deceleration: float, outcome: MoveOutcome, reason: str | None = None, *, smooth: bool = False
     ) -> None:
-        """End the move, and bring the axis to rest with a deceleration in axis unit/s²; `smooth` as in `Motion.stop`."""
+        """End the move, and bring the axis to rest with a deceleration in axis unit/s²; `smooth` as for a motion."""
         self.end_move(outcome, reason)
         self.deceleration = deceleration
         self._motion.stop(deceleration, smooth=smooth)

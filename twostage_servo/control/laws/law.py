@@ -107,9 +107,7 @@ class Law(Protocol):
 class SmoothLaw(Law, Protocol):
     """A law that keeps the jerk of its reference within that of its task: its type says that it smooths."""
 
-    def stop(
-        self, deceleration: float, friction: float = 0.0, *, gradual: bool = False, jerk: float = inf
-    ) -> None:
+    def stop(self, deceleration: float, friction: float = 0.0, *, gradual: bool = False, jerk: float = inf) -> None:
         """Come to rest; as :meth:`Law.stop`.
 
         Parameters

@@ -213,13 +213,12 @@ class Stop:
             return speed
         return sqrt(0.25 * rate * rate + 2.0 * rate * speed) - 0.5 * rate
 
-
     def _smooth_step(self, speed: float) -> float:
         """Return the change of speed in a period of a stop with limited jerk; below zero where it still gains speed.
 
-        Each step differs from the one before by r at most. The gradual end takes a share s of the speed in a period, so
-        its steps become smaller by ``s² v``: it may begin at ``v0 = r/s²`` with a step of ``r/s``. Before it, steps that
-        become smaller by r end with that one there, as in :meth:`_steepest_step`.
+        Each step differs from the one before by r at most. The gradual end takes a share s of the speed in a period,
+        and its steps become smaller by ``s² v``: it may begin at ``v0 = r/s²`` with a step of ``r/s``. Before it, steps
+        that become smaller by r end with that one there, as in :meth:`_steepest_step`.
         """
         state = self.state
         most, share = min(state.jerk_step, self._rate), state.ending_share

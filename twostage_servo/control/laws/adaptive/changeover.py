@@ -104,7 +104,7 @@ class Changeover:
         pushes = copysign(1.0, gain) * course.direction * estimate.disturbance  # the axis on
         left = max(limit - pushes, _LEAST_SHARE * limit)
         deceleration = min(rules.braking_share * abs(gain) * left, self._acceleration_limit)
-        if estimate.learning.is_new:
+        if rules.is_cautious and estimate.learning.is_new:
             least = max(ahead, _LEAST_SHARE * course.cruise_velocity)
             deceleration = min(deceleration, least / (rules.first_braking * self._loop_period_s))
         return deceleration

@@ -62,9 +62,9 @@ class AdaptiveLaw:
     """
 
     __slots__ = (
-        "_course", "_departure", "_estimate", "_is_smooth", "_largest_step", "_position_stage", "_rest_velocity", "_speed_stage",
-        "changeovers", "cruise_velocity", "effort", "effort_limit", "observer", "saturated", "speed_reference", "stage",
-        "stop_stage", "target",
+        "_course", "_departure", "_estimate", "_is_smooth", "_largest_step", "_position_stage", "_rest_velocity",
+        "_speed_stage", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer", "saturated",
+        "speed_reference", "stage", "stop_stage", "target",
     )  # fmt: skip
     sample_age = 1
 
@@ -77,7 +77,7 @@ class AdaptiveLaw:
             task.sampled, task.period_s, effort_rate_limit=task.effort_rate_limit, rest_velocity=task.rest_velocity
         )
         self._estimate = estimate
-        self._departure = Departure(estimate, task.period_s)
+        self._departure = Departure(estimate, task.period_s, holds_back=rules.holds_back)
         self._speed_stage = SpeedStage(estimate, self._departure, task, rules)
         self._position_stage = PositionStage(estimate, task, rules)
         self._largest_step = task.effort_rate_limit * task.period_s
@@ -130,9 +130,7 @@ class AdaptiveLaw:
         """Whether the axis stands, beside how fast (axis unit/s) it is to be: one that moves shows another plant."""
         return abs(self._estimate.velocity) <= max(self._rest_velocity, _STANDING_SHARE * cruise_velocity)
 
-    def stop(
-        self, deceleration: float, friction: float = 0.0, *, gradual: bool = False, jerk: float = inf
-    ) -> None:
+    def stop(self, deceleration: float, friction: float = 0.0, *, gradual: bool = False, jerk: float = inf) -> None:
         """Come to rest in the brake stage, then hold; see :meth:`~twostage_servo.control.laws.law.Law.stop`."""
         if self.stage is not _BRAKE:
             self._estimate.give_up()

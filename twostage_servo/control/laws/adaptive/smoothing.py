@@ -72,7 +72,6 @@ class Smoothing:
         top = max(speed, 0.0) + slope * slope / (2.0 * step)
         return min(most, max(sqrt(step * top), step) / period_s)
 
-
     def change_s(self, speed: float, most: float, *, braking: bool) -> float:
         """Return how long a change of speed (axis unit/s) takes, in s, with at most an acceleration (axis unit/s²).
 

@@ -102,7 +102,7 @@ class SpeedStage:
         return direction * wanted
 
     def _next_reference(self, course: Course, goal: float) -> float:
-        """Return the speed reference a tick ahead on the way to a goal, where nothing keeps it from it (axis unit/s)."""
+        """Return the speed reference a tick ahead on the way to a goal, if nothing withholds it (axis unit/s)."""
         speed = course.speed
         if self._smoothing is not None:
             most = self._largest_rise(course) if speed < goal else self._ramp
@@ -123,7 +123,7 @@ class SpeedStage:
 
     def _largest_rise(self, course: Course) -> float:
         """Return by how much the speed reference may rise in a tick, in axis unit/s."""
-        if not self._estimate.learning.is_new:
+        if not (self._rules.is_cautious and self._estimate.learning.is_new):
             return self._ramp
         rising_s = self._rules.first_acceleration * self._loop_period_s
         quickest = min(course.cruise_velocity / rising_s, abs(course.target - self._departure.position) / rising_s**2)
