@@ -67,7 +67,7 @@ class Run:
         slopes = [(after - before) / period_s for before, after in pairwise(self.speeds)]
         jerks = [(after - before) / period_s for before, after in pairwise(slopes)]
         assert max(map(abs, self.speeds)) <= velocity * (1.0 + 1e-9)
-        assert max(map(abs, slopes)) <= self.task.acceleration_limit * 1.02
+        assert max(map(abs, slopes)) <= self.task.acceleration_limit / 0.9 * (1.0 + 1e-6)
         assert max(map(abs, jerks)) <= self.task.jerk * (1.0 + 1e-6)
 
 

@@ -90,7 +90,8 @@ class Changeover:
         plan, is_there = self._plan(course, ahead, deceleration), False
         if ahead > self._falls_from(course) and self._is_late(ahead, plan, way):
             top = ahead = self._highest_speed(course, ahead, way, deceleration)
-            is_there = ahead <= _NOTHING * course.cruise_velocity
+            from_behind = self._smoothing is not None and speed < 0.0
+            is_there = ahead <= _NOTHING * course.cruise_velocity and not from_behind
             plan = self._plan(course, ahead, deceleration)
         left = way - ways.alpha * ahead - plan.shape.way
         if next_speed(left, plan.shape.speed, plan.deceleration, ways) < plan.shape.speed or is_there:
@@ -113,7 +114,10 @@ class Changeover:
         """Return the speed a tick ahead from which on the reference does not rise, or rises as little as it may."""
         if self._smoothing is None:
             return course.speed
-        return max(0.0, course.speed + course.slope - self._smoothing.step(self._estimate.model.plant.gain))
+        steepest = min(course.slope, -self._acceleration_limit * self._period_s)
+        step = self._smoothing.step(self._estimate.model.plant.gain)
+        least = course.speed + max(course.slope - step, steepest)
+        return least if course.speed < 0.0 else max(0.0, least)
 
     def _plan(self, course: Course, ahead: float, deceleration: float) -> _Plan:
         """Return how a braking would begin from a speed a tick ahead (axis unit/s), with at most a deceleration."""
@@ -157,12 +161,19 @@ class Changeover:
                 left += shape.way - harder.shape.way
                 shape, deceleration = harder
                 needed, most = _needed(shape, left), deceleration / BRAKING_SHARE
-        if ahead > 0.0 and speed > 0.0 and needed > most:
+        # A smooth reference may still come from the other direction: what counts is where its slope will have run out.
+        brakes = ahead > 0.0 if self._smoothing is None else shape.speed > 0.0
+        if self._smoothing is None:
+            passes = ahead > 0.0 and speed > 0.0 and needed > most
+        else:
+            drops = left < ways.beta * shape.speed and shape.speed > most * self._period_s  # all of it in one tick
+            passes = brakes and (needed > most or drops)
+        if passes:
             course.turns = True
             return
         course.has_changed_over = True
         course.position = self._estimate.position + course.direction * (ways.beta * speed + ways.alpha * ahead)
-        course.braking = Braking(shape, left, max(deceleration, needed)) if ahead > 0.0 else None
+        course.braking = Braking(shape, left, max(deceleration, needed)) if brakes else None
         course.top = ahead
 
 

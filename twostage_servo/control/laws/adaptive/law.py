@@ -108,8 +108,8 @@ class AdaptiveLaw:
         estimate.give_up()
         signed_speed, signed_slope = self._reference()
         direction = copysign(1.0, target - estimate.position)
-        speed, slope = (0.0, 0.0) if at_rest else (direction * signed_speed, direction * signed_slope)
-        self._follow(Course(target, course.position, velocity, direction, speed, slope))
+        speed = 0.0 if at_rest else direction * signed_speed
+        self._follow(Course(target, course.position, velocity, direction, speed, direction * signed_slope))
         presses = self.saturated and abs(self.observer.velocity) <= self._rest_velocity
         self._departure.set_out(self.observer.position, leaves_obstacle=presses)
         self.stage = _SPEED
@@ -124,7 +124,7 @@ class AdaptiveLaw:
             return self._estimate.velocity, self.stop_stage.slope
         if self.stage is _SPEED or (self._is_smooth and course.braking is not None):
             return course.direction * course.speed, course.direction * course.slope
-        return self._estimate.velocity, 0.0
+        return self._estimate.velocity, course.direction * course.slope  # one that has just come to rest has some
 
     def _stands(self, cruise_velocity: float) -> bool:
         """Whether the axis stands, beside how fast (axis unit/s) it is to be: one that moves shows another plant."""
