@@ -176,6 +176,28 @@ def test_an_effort_in_another_unit_than_the_drives_is_refused(
     assert "axis.effort_unit = \"V\": the drive's command signal is in 'Nm'" in capsys.readouterr().err
 
 
+def test_check_counts_the_longer_time_of_a_smooth_reference(capsys: pytest.CaptureFixture[str]) -> None:
+    """With 2500 mm/s³ a speed of 100 mm/s takes 0.4 s: 0.35 s more to rise, 0.32 s to brake, half of each counts.
+
+    The band of 0.4 mm is entered ``(6 d/j)^(1/3)`` = 0.10 s before the end, in place of ``(2 d/A)^(1/2)`` = 0.02 s.
+    """
+    found = []
+    for keys in ((), ("--set", "axis.law.jerk=2500")):
+        assert main(["check", "--set", "axis.law.type=adaptive", *keys, "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    plain, smooth = (one["response"][0]["nominal"]["settling_time_s"] for one in found)
+    assert smooth - plain == pytest.approx(0.335 - 0.08, abs=0.03)
+    assert found[1]["changeover_distance"] - found[0]["changeover_distance"] > 10.0
+
+
+def test_check_refuses_a_jerk_that_the_law_cannot_keep(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["check", "--set", "axis.law.jerk=2500"]) != 0
+    captured = capsys.readouterr()
+    text = captured.out + captured.err
+    assert "axis.law.jerk" in text
+    assert 'choose axis.law.type = "adaptive"' in text
+
+
 @pytest.mark.parametrize("gain", [150, 180, 195, 216])
 def test_check_takes_the_adaptive_law_on_plants_around_the_demos(gain: int, capsys: pytest.CaptureFixture[str]) -> None:
     """Its cruise begins at speed, which the law once took for a move from rest."""

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +100,31 @@ def test_a_number_of_moves_that_makes_no_sense_is_refused(count: str, capsys: py
         main(["demo", "--fast", "--moves", count])
     assert caught.value.code == 2
     assert "moves" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("jerk", "settling_s", "changeover"), [(40_000, 4.07, 6.6), (5_000, 4.22, 15.7), (900, 4.55, 35.9)]
+)
+def test_a_smooth_reference_takes_longer_and_overshoots_no_more(
+    jerk: int, settling_s: float, changeover: float, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """The S-curve takes ``v/a + a/j``, or twice the root of v/j; the braking is planned with nine tenths of j."""
+    trace = tmp_path / "trace.csv"
+    keys = ("axis.law.type=adaptive", f"axis.law.jerk={jerk}")
+    result = demo(capsys, "--trace", str(trace), *(part for key in keys for part in ("--set", key)))
+    assert result["trip"] is None
+    assert result["settling_time_s"] == pytest.approx(settling_s, abs=0.015)
+    assert result["overshoot"] < 0.005
+    assert abs(result["final_error"]) < 0.002
+    assert result["changeover"]["distance"] == pytest.approx(changeover, abs=1.0)
+    assert result["changeover"]["effort_step"] <= result["changeover"]["ordinary_effort_step"] + QUANTUM
+    with trace.open(encoding="utf-8") as file:
+        speeds = [float(row["speed_reference"]) for row in csv.DictReader(file)]
+    slopes = [after - before for before, after in pairwise(speeds)]
+    assert max(abs(after - before) for before, after in pairwise(slopes)) <= jerk * 1e-4 * 1.001
+    peak_s = min(2000.0 / jerk, (100.0 / jerk) ** 0.5)
+    rise_s = 100.0 / min(2000.0, (100.0 * jerk) ** 0.5) + peak_s
+    assert sum(slope > 0.0 for slope in slopes) == pytest.approx(rise_s / 0.01, abs=7.0)
 
 
 def test_the_adaptive_law_moves_like_a_servo_and_shows_what_it_has_found(capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.control.laws import law
 from twostage_servo.control.laws.law import ControlTask, Law, LawDesign
 from twostage_servo.control.laws.registry import LAWS, PAPER
+from twostage_servo.control.laws.stop import smoothing_distance, smoothing_time_s
 from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, KalmanGain, NoiseModel, kalman_gain
 from twostage_servo.control.plant import MODEL_ERROR, DiscretePlant, Plant, Triple
@@ -15,6 +16,9 @@ from twostage_servo.portable_error import PortableError
 REST_SHARE = 0.01
 """Share of the velocity limit at or below which the axis counts as at rest: 2.5 mm/s of the demo's 250."""
 
+
+MOST_SMOOTHING_TICKS = 2000
+"""Longest smoothing of a change by the acceleration limit, in ticks: a tick's work grows with it."""
 
 DISABLING_TICKS = 3
 """Ticks until a command to disable acts, and until the samples show it: one to leave, one to act, one to be seen."""
@@ -102,7 +106,13 @@ class AxisDesign:
         """
         return self.settings.limits.innovation_gate + 2.0 * resolution
 
-    def stopping_distance(self, velocity: float, deceleration: float) -> float:
+    @property
+    def jerk(self) -> float:
+        """Largest slope of the reference's acceleration, in axis unit/s³; infinity where nothing smooths it."""
+        jerk = self.settings.law.jerk
+        return math.inf if jerk is None else jerk
+
+    def stopping_distance(self, velocity: float, deceleration: float, *, smooth: bool = False) -> float:
         """Return how far the axis travels in a stop, in axis unit, not negative.
 
         Parameters
@@ -111,16 +121,30 @@ class AxisDesign:
             Speed from which it stops, in axis unit/s.
         deceleration
             Slope of the speed reference, in axis unit/s².
+        smooth
+            Whether it is smoothed, as far as anything is.
         """
-        return self.law.stopping_distance(velocity, deceleration)
+        distance = self.law.stopping_distance(velocity, deceleration)
+        return distance + smoothing_distance(velocity, deceleration, self.jerk) if smooth else distance
 
     def certain_stopping_distance(self, velocity: float, deceleration: float) -> float:
         """Return how far the axis travels at most in a stop if its plant is off its model, in axis unit."""
         return self.law.certain_stopping_distance(velocity, deceleration)
 
-    def stopping_time_s(self, velocity: float, deceleration: float) -> float:
-        """Return how long a stop takes until the axis rests, in s."""
-        return self.law.stopping_time_s(velocity, deceleration)
+    def stopping_time_s(self, velocity: float, deceleration: float, *, smooth: bool = False) -> float:
+        """Return how long a stop takes until the axis rests, in s; `smooth` as in :meth:`stopping_distance`.
+
+        A smoothed one may begin while the axis still accelerates.
+        """
+        if not smooth or math.isinf(self.jerk):
+            return self.law.stopping_time_s(velocity, deceleration)
+        rising_s = deceleration / self.jerk
+        fastest = abs(velocity) + 0.5 * deceleration * rising_s
+        return (
+            rising_s
+            + self.law.stopping_time_s(fastest, deceleration)
+            + smoothing_time_s(fastest, deceleration, self.jerk)
+        )
 
     def _law(self, gain: Triple) -> Law:
         return self.law.build(DisturbanceObserver(self.plant, gain, self.noise.disturbance_memory))
@@ -159,9 +183,12 @@ def design_axis(settings: AxisSettings, period_s: float) -> AxisDesign:
         effort_limit=limits.effort,
         effort_rate_limit=limits.effort_rate,
         rest_velocity=REST_SHARE * limits.velocity,
+        jerk=math.inf if settings.law.jerk is None else settings.law.jerk,
     )
+    law_type = LAWS.get(settings.law.type)
+    _check_jerk(settings, period_s, smooths=law_type.smooths)
     try:
-        designed = LAWS.get(settings.law.type).design(settings.law.keys, task)
+        designed = law_type.design(settings.law.keys, task)
     except law.DesignError as error:
         raise DesignError(("axis", "law", *_place(settings, error.key)), str(error)) from error
     return AxisDesign(settings, period_s, sampled, noise, kalman, designed)
@@ -172,6 +199,28 @@ def _place(settings: AxisSettings, key: tuple[str, ...]) -> tuple[str, ...]:
     if settings.law.type == PAPER and key == ("performance_index_ratio",):
         return settings.law.place_of_ratio
     return settings.law.type, *key
+
+
+def _check_jerk(settings: AxisSettings, period_s: float, *, smooths: bool) -> None:
+    jerk, acceleration, unit = settings.law.jerk, settings.limits.acceleration, settings.unit
+    if jerk is None:
+        return
+    key = ("axis", "law", "jerk")
+    if not smooths:
+        raise DesignError(
+            key,
+            f"the law {settings.law.type!r} cannot smooth its reference (that of the paper brakes without one); "
+            'remove the key, or choose axis.law.type = "adaptive"',
+        )
+    ticks = acceleration / (jerk * period_s)
+    if ticks > MOST_SMOOTHING_TICKS:
+        raise DesignError(
+            key,
+            f"with {jerk:g} {unit}/s³ it takes {acceleration / jerk:.4g} s, {ticks:.0f} ticks, until the acceleration "
+            f"is that of limits.acceleration = {acceleration:g} {unit}/s², and {MOST_SMOOTHING_TICKS} ticks are "
+            f"allowed; raise jerk to {acceleration / (MOST_SMOOTHING_TICKS * period_s):.3g}, or lower "
+            "limits.acceleration",
+        )
 
 
 def _check_cruise(settings: AxisSettings, plant: Plant) -> None:

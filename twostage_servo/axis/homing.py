@@ -119,14 +119,14 @@ class Homing:
                 self._find(self._drive.position)
             case _Phase.LEAVE if self._has_left():
                 self._phase = _Phase.STOP
-                self._motion.stop(self._deceleration)
+                self._motion.stop(self._deceleration, smooth=True)
             case _Phase.STOP if at_rest:
                 self._phase = _Phase.DONE
 
     def _seek(self) -> None:
         drive = self._drive
         if self._settings.method == "switch" and drive.home_switch:
-            self._motion.stop(self._deceleration)
+            self._motion.stop(self._deceleration, smooth=True)
             self._phase = _Phase.STOP_BEYOND
         elif self._settings.method == "index" and drive.index is not None:
             self._check_on_the_way(drive.index)
@@ -159,7 +159,7 @@ class Homing:
     def _find(self, position: float | None) -> None:
         self.reference = position
         self._phase = _Phase.STOP
-        self._motion.stop(self._deceleration)
+        self._motion.stop(self._deceleration, smooth=True)
 
     def _go(self, sign: float, velocity: float) -> None:
         self.direction = sign

@@ -26,6 +26,14 @@ class LawSettings(Settings):
         description="How long what the law has learned of its plant is kept: for one move, while the service runs, or "
         "in a file in the folder of the trip files",
     )
+    jerk: float | None = quantity(
+        None,
+        unit="axis unit/s³",
+        description="Smoothing of the reference: by how much its acceleration changes at most in a second; none if "
+        "absent. Quick stops and stops after a trip are not smoothed, and the law `paper` cannot be",
+        gt=0.0,
+        le=1e15,
+    )
     performance_index_ratio: float | None = quantity(
         None, unit="1", description="Former place of axis.law.paper.performance_index_ratio", ge=1e-12, le=1e6
     )

@@ -11,7 +11,7 @@ from twostage_servo.axis.sample_date import SampleDate
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
 from twostage_servo.axis.tracking import Tracking
-from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.law import SmoothLaw, Stage
 from twostage_servo.control.per_time import kept_in
 
 IMPLAUSIBLE_SAMPLES = 2
@@ -87,6 +87,7 @@ class Motion:
         self._fading = kept_in(_FADING, design.period_s)
         self._drive = drive
         self._rest_velocity = design.rest_velocity
+        self._jerk = design.jerk
         self._limits = design.settings.limits
         self._date = SampleDate(self.law.observer, drive, design.period_s)
         self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
@@ -130,13 +131,19 @@ class Motion:
         self.law.set_target(target, velocity)
         self.nominal.set_target(target, velocity)
 
-    def stop(self, deceleration: float) -> None:
-        """Come to rest with a deceleration in axis unit/s²; what the axis should do now is judged from here on."""
+    def stop(self, deceleration: float, *, smooth: bool = False) -> None:
+        """Come to rest with a deceleration in axis unit/s²; what the axis should do now is judged from here on.
+
+        `smooth` is for a stop that has time for the jerk that the settings give: none after a trip, nor a quick one.
+        """
         if not self.blind:
             self._braking.apply(self.law.observer, in_doubt=False)
         observer = self.law.observer
         friction = self._friction = self._load.friction(observer.velocity, observer.disturbance)
-        self.law.stop(deceleration, friction, gradual=not self.blind)
+        if smooth and not self.blind and isinstance(self.law, SmoothLaw) and math.isfinite(self._jerk):
+            self.law.stop(deceleration, friction, gradual=True, jerk=self._jerk)
+        else:
+            self.law.stop(deceleration, friction, gradual=not self.blind)
         if self._stands_at is not None:  # what holds the axis, if it is not the encoder, must bear no more than it does
             self.law.limit_effort(max(abs(self.law.effort), self._limits.stall_effort))
         self.nominal.continue_from(self.law)

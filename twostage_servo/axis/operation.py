@@ -171,9 +171,11 @@ class Operation:
         """Keep as a homing what only says that the axis stands at a position, in axis unit."""
         self.announce(MoveKind.HOME, position, 0.0).end(MoveOutcome.REACHED, None)
 
-    def brake(self, deceleration: float, outcome: MoveOutcome, reason: str | None = None) -> None:
-        """End the move, and bring the axis to rest with a deceleration in axis unit/s²."""
+    def brake(
+        self, deceleration: float, outcome: MoveOutcome, reason: str | None = None, *, smooth: bool = False
+    ) -> None:
+        """End the move, and bring the axis to rest with a deceleration in axis unit/s²; `smooth` as for a motion."""
         self.end_move(outcome, reason)
         self.deceleration = deceleration
-        self._motion.stop(deceleration)
-        self._supervision.begin_braking(deceleration)
+        self._motion.stop(deceleration, smooth=smooth)
+        self._supervision.begin_braking(deceleration, smooth=smooth)

@@ -333,7 +333,7 @@ class Requests:
     def _brake(self, reason: str | None, *, quick: bool) -> None:
         limits = self._settings.limits
         deceleration = limits.quick_stop_deceleration if quick else limits.acceleration
-        self._operation.brake(deceleration, MoveOutcome.STOPPED, reason)
+        self._operation.brake(deceleration, MoveOutcome.STOPPED, reason, smooth=not quick)
 
     def _first_target(self, target: float) -> float:
         """Return the set-point itself, or one beyond it for a move that would end from the wrong side."""

@@ -126,14 +126,15 @@ class SpeedOverride:
         self.kept_target = leg.target
         at_rest = abs(law.observer.velocity) <= self._rest_velocity and self._is_at(law.target)
         if not (at_rest and law.stage is Stage.POSITION) and law.stage is not Stage.BRAKE:
-            self._motion.stop(self._acceleration)
+            self._motion.stop(self._acceleration, smooth=True)
 
     def _stops_on_the_way(self, leg: Leg) -> bool:
         """Whether a stop ends elsewhere than at the set-point, and not beyond it, where the axis would come to rest."""
         observer = self._motion.law.observer
         velocity = observer.velocity
         way = math.copysign(1.0, velocity) * (leg.target - observer.position)
-        needed = self._design.stopping_distance(velocity, self._acceleration) + abs(velocity) * self._design.period_s
+        needed = self._design.stopping_distance(velocity, self._acceleration, smooth=True)
+        needed += abs(velocity) * self._design.period_s
         return not (0.0 <= way <= needed or self._is_at(leg.target))
 
     def _is_at(self, target: float) -> bool:

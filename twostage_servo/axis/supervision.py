@@ -85,10 +85,10 @@ class Supervision:
         """Begin to wait for the position window anew: the set-point is another one, in mid-move."""
         self._ticks_in_window = 0
 
-    def begin_braking(self, deceleration: float) -> None:
-        """Begin to wait for the axis to come to rest with a deceleration in axis unit/s²."""
+    def begin_braking(self, deceleration: float, *, smooth: bool = False) -> None:
+        """Begin to wait for the axis to come to rest with a deceleration in axis unit/s²; smoothed, if it is."""
         self.start()
-        duration_s = self._design.stopping_time_s(self._motion.law.observer.velocity, deceleration)
+        duration_s = self._design.stopping_time_s(self._motion.law.observer.velocity, deceleration, smooth=smooth)
         self._braking_ticks_allowed = _BRAKING_PATIENCE * duration_s / self._design.period_s
 
     def has_arrived(self, position: float) -> bool:

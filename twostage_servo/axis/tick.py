@@ -108,5 +108,5 @@ class AxisTick:
         if machine.state is State.JOGGING and self._jog.is_over:
             machine.apply(Event.STOP)
             reason = f"the jog was not renewed within {self._settings.jog_timeout_ms:g} ms"
-            self._operation.brake(self._settings.limits.acceleration, MoveOutcome.STOPPED, reason)
+            self._operation.brake(self._settings.limits.acceleration, MoveOutcome.STOPPED, reason, smooth=True)
         return self._driven.step()

@@ -58,7 +58,7 @@ _AFTER_BRAKING_S: Final = 12.0
 def stop_ms(design: "AxisDesign") -> float:
     """Return how long an axis takes to stop from its largest velocity, in ms."""
     limits = design.settings.limits
-    return 1e3 * design.stopping_time_s(limits.velocity, limits.acceleration)
+    return 1e3 * design.stopping_time_s(limits.velocity, limits.acceleration, smooth=True)
 
 
 def with_time_to_stop(settings: ServiceSettings, designs: "Iterable[AxisDesign]") -> ServiceSettings:

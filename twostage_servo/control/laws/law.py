@@ -8,6 +8,7 @@ is driven, the axis lets it follow by itself.
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import inf
 from typing import Any, Protocol, runtime_checkable
 
 from twostage_servo.control.estimate import Estimate
@@ -102,6 +103,22 @@ class Law(Protocol):
         """Copy the whole state of another law of the same design, its estimate included."""
 
 
+@runtime_checkable
+class SmoothLaw(Law, Protocol):
+    """A law that keeps the jerk of its reference within that of its task: its type says that it smooths."""
+
+    def stop(self, deceleration: float, friction: float = 0.0, *, gradual: bool = False, jerk: float = inf) -> None:
+        """Come to rest; as :meth:`Law.stop`.
+
+        Parameters
+        ----------
+        deceleration, friction, gradual
+            As there.
+        jerk
+            By how much the deceleration changes at most, in axis unit/s³; infinity where the stop has no time for it.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class Learned:
     """What a law has found out of its plant.
@@ -186,6 +203,8 @@ class ControlTask:
         In effort unit and effort unit/s.
     rest_velocity
         Speed at or below which an axis counts as at rest, in axis unit/s.
+    jerk
+        Largest slope of the reference's acceleration, in axis unit/s³; infinity for none.
     """
 
     plant: Plant
@@ -198,6 +217,7 @@ class ControlTask:
     effort_limit: float
     effort_rate_limit: float
     rest_velocity: float
+    jerk: float = inf
 
 
 class DesignError(PortableError, ValueError):

@@ -33,10 +33,14 @@ class LawType:
     design
         Makes a design of such settings for a task. It raises :class:`~twostage_servo.control.laws.law.DesignError`
         where there is none.
+    smooths
+        Whether its laws keep the jerk of their reference, in moves and in stops, within that of the task; a task of a
+        law that does not has none.
     """
 
     settings: type[Settings]
     design: Callable[[Any, ControlTask], LawDesign]
+    smooths: bool = False
 
     def __post_init__(self) -> None:
         """Check what a package has put together."""

@@ -27,6 +27,9 @@ ENDING_SHARE = 0.25
 """Largest share of its speed that a stop takes away in 10 ms or a period, whichever is longer: what is under way when a
 sample shows that speed does not reverse a plant with 30 % more gain, or with a period of delay more."""
 
+_SMOOTH_SHARE = 0.85
+"""Share of the jerk that the end of a smooth stop is planned with: between two ticks it takes up to an eighth more."""
+
 REST_TICKS = 3
 """Samples by which the speed has to be low before a stop is done: one may be the estimate's own noise."""
 
@@ -59,6 +62,10 @@ class StopState:
         By how much the disturbance changes with the speed, in effort unit s/axis unit.
     ending_share
         Largest share of the speed that a step takes.
+    jerk_step
+        By how much a step of the ramp may exceed the one before, and be less, in axis unit/s; infinity for any.
+    step
+        The last one, in axis unit/s: what the speed has become lower by.
     ticks_at_rest
         Periods in a row, up to now, in which the speed was low.
     """
@@ -67,6 +74,8 @@ class StopState:
     ramp: float = 0.0
     friction: float = 0.0
     ending_share: float = 1.0
+    jerk_step: float = inf
+    step: float = 0.0
     ticks_at_rest: int = 0
 
 
@@ -113,21 +122,37 @@ class Stop:
         self._smallest_step = ending_share(period_s) * rest_velocity  # or it would never end
         self.state = StopState()
 
-    def begin(self, velocity: float) -> None:
-        """Begin at an estimated velocity, in axis unit/s."""
+    def begin(self, velocity: float, slope: float = 0.0) -> None:
+        """Begin at an estimated velocity, and its change in the last period (both in axis unit/s)."""
         self.state.speed_reference = velocity
+        self.state.step = -slope if velocity >= 0.0 else slope
         self.state.ticks_at_rest = 0
+
+    @property
+    def slope(self) -> float:
+        """By how much the reference has changed in the last period, in axis unit/s."""
+        state = self.state
+        return -state.step if state.speed_reference >= 0.0 else state.step
 
     def resume_at(self, velocity: float) -> None:
         """Go on from another estimated velocity, in axis unit/s."""
         self.state.speed_reference = velocity
 
-    def aim(self, deceleration: float, friction: float, *, gradual: bool) -> None:
-        """Set the slope of the ramp, the friction and the end, as in :meth:`~.law.Law.stop`; also in mid-stop."""
+    def aim(self, deceleration: float, friction: float, *, gradual: bool, jerk: float = inf) -> None:
+        """Set the slope of the ramp, the friction and the end, as in :meth:`~.law.Law.stop`; also in mid-stop.
+
+        Parameters
+        ----------
+        deceleration, friction, gradual
+            As there.
+        jerk
+            Largest slope of the deceleration, in axis unit/s³; infinity for none.
+        """
         state = self.state
         state.ramp = deceleration * self._period_s
         state.friction = friction
         state.ending_share = ending_share(self._period_s) if gradual else 1.0
+        state.jerk_step = jerk * self._period_s**2
 
     def update(self, observer: DisturbanceObserver, sample: float, effort: float) -> None:
         """Give the observer a sample (axis unit) and the effort that acted; its friction goes with the speed."""
@@ -155,8 +180,12 @@ class Stop:
         """
         state, plant, velocity = self.state, self._plant, observer.velocity
         now = state.speed_reference
-        step = min(state.ramp, self._steepest_step(abs(now)), max(state.ending_share * abs(now), self._smallest_step))
-        ahead = 0.0 if abs(now) <= step else now - copysign(step, now)
+        if isinf(state.jerk_step):
+            least = max(state.ending_share * abs(now), self._smallest_step)
+            step = min(state.ramp, self._steepest_step(abs(now)), least)
+        else:
+            step = self._smooth_step(abs(now))
+        ahead = 0.0 if abs(now) <= step else now - step * copysign(1.0, now)
         wanted = (ahead - plant.a22 * now) / plant.b2 - observer.disturbance + self._braking_gain * (now - velocity)
         effort = limited(wanted)
         if effort != wanted:
@@ -164,6 +193,7 @@ class Stop:
             reached = plant.a22 * velocity + plant.b2 * (effort + observer.disturbance)
             if abs(reached) > abs(ahead) and reached * now > 0.0:
                 ahead = reached
+        state.step = abs(now) - abs(ahead)
         state.speed_reference = ahead
         return effort
 
@@ -182,6 +212,51 @@ class Stop:
         if speed <= rate:  # all of it in one step; the formula says so too, but for what its difference cancels
             return speed
         return sqrt(0.25 * rate * rate + 2.0 * rate * speed) - 0.5 * rate
+
+    def _smooth_step(self, speed: float) -> float:
+        """Return the change of speed in a period of a stop with limited jerk; below zero where it still gains speed.
+
+        Each step differs from the one before by r at most. The gradual end takes a share s of the speed in a period,
+        and its steps become smaller by ``s² v``: it may begin at ``v0 = r/s²`` with a step of ``r/s``. Before it, steps
+        that become smaller by r end with that one there, as in :meth:`_steepest_step`.
+        """
+        state = self.state
+        most, share = min(state.jerk_step, self._rate), state.ending_share
+        r = _SMOOTH_SHARE * most
+        ending = r / (share * share)
+        if speed <= ending:
+            steepest = max(share * speed, min(self._smallest_step, r))
+        else:
+            first = r / share + 0.5 * r
+            steepest = sqrt(first * first + 2.0 * r * (speed - ending)) - 0.5 * r
+        step = min(max(min(state.ramp, steepest), state.step - most), state.step + most)
+        return min(step, speed)
+
+
+def smoothing_time_s(velocity: float, deceleration: float, jerk: float) -> float:
+    """Return by how much longer an S-curve takes than a ramp, at most, in s.
+
+    Parameters
+    ----------
+    velocity
+        By which the speed changes, in axis unit/s.
+    deceleration
+        Slope of the ramp, in axis unit/s²; the S-curve's is less where the change is too small for it.
+    jerk
+        Of the S-curve, in axis unit/s³; infinity for none.
+    """
+    speed, jerk = abs(velocity), _SMOOTH_SHARE * jerk
+    if speed >= deceleration * deceleration / jerk:
+        return deceleration / jerk
+    return 2.0 * sqrt(speed / jerk) - speed / deceleration
+
+
+def smoothing_distance(velocity: float, deceleration: float, jerk: float) -> float:
+    """Return how much farther an S-curve from a velocity to rest goes than a ramp, at most, in axis unit.
+
+    Both go on at half of the speed on average, in an S-curve that is even. Parameters as in :func:`smoothing_time_s`.
+    """
+    return 0.5 * abs(velocity) * smoothing_time_s(velocity, deceleration, jerk)
 
 
 @dataclass(frozen=True, slots=True)

@@ -302,8 +302,8 @@ def test_noise_is_measured_at_rest_and_chooses_the_poles() -> None:
     law.set_target(100.0, 50.0)
     law.step(0.0)
     assert (
-        law.control_estimate.model.poles
-        == noisy.build(DisturbanceObserver(made.sampled, made.kalman.predictor)).control_estimate.model.poles
+        law.control_estimate.model.gains
+        == noisy.build(DisturbanceObserver(made.sampled, made.kalman.predictor)).control_estimate.model.gains
     )
 
 

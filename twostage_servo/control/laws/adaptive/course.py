@@ -24,6 +24,8 @@ class Course:
         1 or -1.
     speed
         The speed reference, in axis unit/s.
+    slope
+        By how much it has changed in the last tick, in axis unit/s.
     turns
         Whether the axis first comes to rest, because no braking meets the set-point any more.
     has_changed_over
@@ -41,6 +43,7 @@ class Course:
     cruise_velocity: float = 0.0
     direction: float = 1.0
     speed: float = 0.0
+    slope: float = 0.0
     turns: bool = False
     has_changed_over: bool = False
     braking: Braking | None = None

@@ -32,6 +32,8 @@ class Departure:
         What the law controls by.
     period_s
         The tick, in s.
+    holds_back
+        Whether it holds back anything.
 
     Attributes
     ----------
@@ -43,10 +45,14 @@ class Departure:
         Whether the effort is held back.
     """
 
-    __slots__ = ("_estimate", "_held_effort", "_period_s", "_ticks_held", "is_held", "leaves_obstacle", "position")
+    __slots__ = (
+        "_estimate", "_held_effort", "_holds_back", "_period_s", "_ticks_held", "is_held", "leaves_obstacle",
+        "position",
+    )  # fmt: skip
 
-    def __init__(self, estimate: ControlEstimate, period_s: float) -> None:
+    def __init__(self, estimate: ControlEstimate, period_s: float, *, holds_back: bool = True) -> None:
         self._estimate = estimate
+        self._holds_back = holds_back
         self._period_s = period_s
         self.position = 0.0
         self.clear()
@@ -60,11 +66,11 @@ class Departure:
     def set_out(self, position: float, *, leaves_obstacle: bool = False) -> None:
         """Set out from a position, in axis unit."""
         self.position = position
-        self.leaves_obstacle = leaves_obstacle
+        self.leaves_obstacle = leaves_obstacle and self._holds_back
 
     def hold(self, effort: float) -> None:
         """Hold back the effort around the one that has held the axis at rest so far, in effort unit."""
-        self.is_held = True
+        self.is_held = self._holds_back
         self._held_effort = effort
         self._ticks_held = 0
 

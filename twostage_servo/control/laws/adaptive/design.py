@@ -3,21 +3,23 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import isfinite
 
 from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
 from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
 from twostage_servo.control.laws.adaptive.model import Model
-from twostage_servo.control.laws.adaptive.placement import Poles
+from twostage_servo.control.laws.adaptive.placement import FixedGains, Gains
 from twostage_servo.control.laws.adaptive.reference import Shape
 from twostage_servo.control.laws.adaptive.rules import (
     NOISY_FROM,
     LearningRules,
     Rules,
-    encoder_poles,
+    encoder_gains,
     is_noisy,
     loop_period_s,
     noise_unit,
 )
+from twostage_servo.control.laws.adaptive.smoothing import Smoothing
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
 from twostage_servo.control.laws.margins import (
     LEAST_MODULUS_MARGIN,
@@ -29,6 +31,7 @@ from twostage_servo.control.laws.margins import (
 )
 from twostage_servo.control.laws.stop import StopsByRamp, braking_gain
 from twostage_servo.control.observer import DisturbanceObserver, extended_model
+from twostage_servo.control.optimal import servo_gains
 
 _SETTLING_TICKS = 3.0
 """Ticks from the end of the braking reference until the axis is in a window: a delay of one, and the poles."""
@@ -89,7 +92,9 @@ class AdaptiveDesign(StopsByRamp):
     def _braking_way(self, velocity: float) -> float:
         """Return what the reference goes from there on, at a velocity greater than 0, without that tick."""
         task, deceleration = self.task, self.deceleration
-        ways = self._model(self._poles).ways
+        if isfinite(task.jerk):
+            return 0.5 * velocity * Smoothing(task).change_s(velocity, deceleration, braking=True)
+        ways = self._model(self._gains).ways
         gain, step = abs(task.plant.gain), task.effort_rate_limit * task.period_s
         shape = Shape.at(velocity, velocity, velocity, deceleration, gain, step, ways)
         return velocity * velocity / (2.0 * deceleration) + 0.5 * velocity * task.period_s + shape.way
@@ -99,6 +104,9 @@ class AdaptiveDesign(StopsByRamp):
         task, braking = self.task, self.deceleration
         rising = min(task.acceleration_limit, abs(task.plant.gain) * task.effort_limit)
         least = max(distance - window, 0.0)
+        if isfinite(task.jerk):
+            moving_s = Smoothing(task).move_s(least, velocity, rising, braking)
+            return moving_s + task.period_s + _SETTLING_TICKS * loop_period_s(task)
         top = min(velocity, math.sqrt(2.0 * least * rising * braking / (rising + braking)))
         cruise = 0.0 if top <= 0.0 else least / top - 0.5 * top / rising - 0.5 * top / braking
         averaged = self._braking_way(top) - top * top / (2.0 * braking)
@@ -107,39 +115,41 @@ class AdaptiveDesign(StopsByRamp):
 
     def gains(self) -> Mapping[str, float]:
         """Return those of the position stage on a plant that is known, and of its observer."""
-        model = self._model(self._poles)
+        model = self._model(self._gains)
         f1, f2 = model.feedback
         l1, l2, l3 = model.observer_gain
         return {"f1": f1, "f2": f2, "l1": l1, "l2": l2, "l3": l3}
 
     def origin(self) -> str:
-        """Return which poles the gains follow from."""
+        """Return what the gains follow from."""
+        if self.rules.fixed_gains is not None:
+            return "the paper's design"
         return "poles for a noisy encoder" if is_noisy(self.task, self.noise) else "poles for a quiet encoder"
 
     def loops(self) -> Mapping[str, Loop]:
         """Return how stable the stages are: on a known plant, before one is known, and in a stop."""
-        poles = self._poles
+        gains = self._gains
         loops = {}
-        for name, model in (("", self._model(poles)), ("unknown_", self._model(poles.slower(self.rules.unknown)))):
+        for name, model in (("", self._model(gains)), ("unknown_", self._model(gains.slower(self.rules.unknown)))):
             for stage in (Stage.SPEED, Stage.POSITION):
                 control = stage_control(self.task, model, stage)
                 # They follow a reference, and no step: that has no place in a linear system of this form.
                 loops[name + stage.name.lower()] = loop_of(control, self.task.sampled, control.in_numbers())
-        brake = stage_control(self.task, self._model(poles), Stage.BRAKE)
+        brake = stage_control(self.task, self._model(gains), Stage.BRAKE)
         loops["brake"] = loop_of(brake, self.task.sampled, brake.in_numbers())
         return loops
 
     @property
-    def _poles(self) -> Poles:
-        return encoder_poles(self.task, self.noise)
+    def _gains(self) -> Gains:
+        return encoder_gains(self.task, self.noise, self.rules)
 
-    def _model(self, poles: Poles) -> Model:
-        return configured_model(self.task, poles)
+    def _model(self, gains: Gains) -> Model:
+        return configured_model(self.task, gains)
 
 
-def configured_model(task: ControlTask, poles: Poles) -> Model:
-    """Return the plant as it is configured, without a delay, with the gains for poles."""
-    return Model(task.plant, is_late=False, poles=poles, period_s=task.period_s)
+def configured_model(task: ControlTask, gains: Gains) -> Model:
+    """Return the plant as it is configured, without a delay, with its gains."""
+    return Model(task.plant, is_late=False, gains=gains, period_s=task.period_s)
 
 
 def stage_control(task: ControlTask, model: Model, stage: Stage) -> Control:
@@ -150,7 +160,7 @@ def stage_control(task: ControlTask, model: Model, stage: Stage) -> Control:
     import numpy as np  # noqa: PLC0415 - see servo_gains
 
     f1, f2 = model.feedback
-    gain, memory = model.observer_gain, 1.0
+    gain, memory = model.observer_gain, model.gains.memory
     if stage is Stage.BRAKE:
         f1, f2 = 0.0, braking_gain(task.sampled)
         gain, memory = task.kalman.predictor, task.noise.disturbance_memory
@@ -163,7 +173,29 @@ def stage_control(task: ControlTask, model: Model, stage: Stage) -> Control:
     return Control(closed, predictor, -feedback, feeds_position=stage is Stage.POSITION)
 
 
-def design_adaptive(task: ControlTask, noise: float, *, learns: bool) -> AdaptiveDesign:
+def paper_gains(task: ControlTask, ratio: float) -> FixedGains:
+    """Return the gains of the paper's design: f11 and f12 of (13) for Q/R, and the axis' own Kalman gain.
+
+    Raises
+    ------
+    DesignError
+        If there are no optimal gains.
+    """
+    try:
+        gains = servo_gains(task.sampled, ratio)
+    except ValueError as error:
+        raise DesignError(("performance_index_ratio",), str(error)) from error
+    return FixedGains(task.kalman.predictor, (gains.f11, gains.f12), task.noise.disturbance_memory)
+
+
+def design_adaptive(
+    task: ControlTask,
+    noise: float,
+    *,
+    learns: bool,
+    rules: Rules = Rules(),  # noqa: B008 - frozen
+    learning_rules: LearningRules = LearningRules(),  # noqa: B008 - frozen
+) -> AdaptiveDesign:
     """See that each stage is stable on the configured plant.
 
     Parameters
@@ -174,35 +206,43 @@ def design_adaptive(task: ControlTask, noise: float, *, learns: bool) -> Adaptiv
         Standard deviation of a measured position, as far as it is known, in axis unit.
     learns
         Whether plants are identified.
+    rules, learning_rules
+        How its laws shape a move, and when they believe what they identify.
 
     Raises
     ------
     DesignError
         If a loop would be unstable or fragile.
     """
-    radii = {stage: _check_stage(task, noise, stage) for stage in Stage}
-    return AdaptiveDesign(task, noise, learns, settling_time_s(radii[Stage.BRAKE], task.period_s))
+    gains = encoder_gains(task, noise, rules)
+    radii = {stage: _check_stage(task, gains, noise, stage) for stage in Stage}
+    stopping_s = settling_time_s(radii[Stage.BRAKE], task.period_s)
+    return AdaptiveDesign(task, noise, learns, stopping_s, rules, learning_rules)
 
 
-def _check_stage(task: ControlTask, noise: float, stage: Stage) -> float:
+def _check_stage(task: ControlTask, gains: Gains, noise: float, stage: Stage) -> float:
     """Return the magnitude of a stage's slowest pole."""
-    control = stage_control(task, configured_model(task, encoder_poles(task, noise)), stage)
+    control = stage_control(task, configured_model(task, gains), stage)
     radius = max(abs(pole) for pole in poles_of(control, task.sampled))
     if not radius < 1.0:
-        raise _design_error(task, noise, stage, f"unstable: its closed loop has a pole of magnitude {radius:.4f}")
+        raise _design_error(
+            task, gains, noise, stage, f"unstable: its closed loop has a pole of magnitude {radius:.4f}"
+        )
     margin = margins_of(control, task.sampled, 2_000).modulus_margin
     if margin < LEAST_MODULUS_MARGIN:
         fragile = f"fragile: its modulus margin is {margin:.3f}, and at least {LEAST_MODULUS_MARGIN:g} is needed"
-        raise _design_error(task, noise, stage, fragile)
+        raise _design_error(task, gains, noise, stage, fragile)
     return radius
 
 
-def _design_error(task: ControlTask, noise: float, stage: Stage, finding: str) -> DesignError:
+def _design_error(task: ControlTask, gains: Gains, noise: float, stage: Stage, finding: str) -> DesignError:
     """Return the error that says what is wrong with a stage, and what to change."""
     key: tuple[str, ...] = ()
     change = "choose a shorter tick"
     if stage is Stage.BRAKE:
         change += ", or other observer variances (axis.observer)"
+    elif isinstance(gains, FixedGains):
+        change = "choose another performance_index_ratio, or placed_poles = true"
     else:  # these poles are fixed in z, so only the plant and the tick make a difference
         change += ", or correct axis.plant.pole if the plant is slower"
         if is_noisy(task, noise):

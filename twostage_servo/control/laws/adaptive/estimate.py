@@ -19,7 +19,7 @@ from twostage_servo.control.laws.adaptive.rules import (
     SPREAD_SHARE,
     LearningRules,
     Rules,
-    encoder_poles,
+    encoder_gains,
     is_noisy,
     noise_unit,
 )
@@ -79,7 +79,8 @@ class ControlEstimate:
         self._noise_square = 0.0
         self._rest: deque[float] = deque(maxlen=3)
         self._samples_at_rest = 0
-        self._observer = DisturbanceObserver(task.sampled, NO_CORRECTION)
+        memory = encoder_gains(task, noise, rules).memory
+        self._observer = DisturbanceObserver(task.sampled, NO_CORRECTION, memory)
         self.learning = Learning(task.plant, learning_rules, task.period_s, task.effort_limit)
         self._efforts = 0.0, 0.0, 0.0
         self._direction, self._origin = 1.0, 0.0
@@ -225,7 +226,9 @@ class ControlEstimate:
         """End to look, and go on with what is believed."""
         if self.learning.finish():
             self._adopt(self.learning.believed)
-            if is_noisy(self._task, self.noise):  # a quiet encoder shows it within two ticks
+            if self._rules.ends_friction and is_noisy(
+                self._task, self.noise
+            ):  # a quiet encoder shows it within two ticks
                 self._friction = self.learning.friction(self._load_at_rest, self._largest_friction)
         else:
             self._return_to_believed()
@@ -306,14 +309,14 @@ class ControlEstimate:
         observer.correct(observer.velocity, disturbance)
 
     def _adopt(self, plant: Plant, *, is_known: bool = False) -> None:
-        """Go on with a plant, by poles that go with what is known of it, or with `is_known` of this one."""
+        """Go on with a plant, by gains that go with what is known of it, or with `is_known` of this one."""
         learning, rules = self.learning, self._rules
-        poles = encoder_poles(self._task, self.noise)
+        gains = encoder_gains(self._task, self.noise, rules)
         if not (is_known or learning.is_known):
-            poles = poles.slower(rules.unknown)
+            gains = gains.slower(rules.unknown)
         elif learning.is_late:
-            poles = poles.slower(rules.late)
-        self.model = Model(plant, learning.is_late, poles, self._task.period_s)
+            gains = gains.slower(rules.late)
+        self.model = Model(plant, learning.is_late, gains, self._task.period_s)
         self._observer.adopt(self.model.sampled, self.model.observer_gain)
 
     def _tell(self) -> None:

@@ -17,7 +17,7 @@ A stop is :mod:`twostage_servo.control.laws.stop`, on the axis' own observer and
 paper's law: what has been identified may be what is wrong.
 """
 
-from math import copysign
+from math import copysign, inf, isfinite, isinf
 
 from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.departure import Departure
@@ -62,9 +62,9 @@ class AdaptiveLaw:
     """
 
     __slots__ = (
-        "_course", "_departure", "_estimate", "_largest_step", "_position_stage", "_rest_velocity", "_speed_stage",
-        "changeovers", "cruise_velocity", "effort", "effort_limit", "observer", "saturated", "speed_reference", "stage",
-        "stop_stage", "target",
+        "_course", "_departure", "_estimate", "_is_smooth", "_largest_step", "_position_stage", "_rest_velocity",
+        "_speed_stage", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer", "saturated",
+        "speed_reference", "stage", "stop_stage", "target",
     )  # fmt: skip
     sample_age = 1
 
@@ -77,11 +77,12 @@ class AdaptiveLaw:
             task.sampled, task.period_s, effort_rate_limit=task.effort_rate_limit, rest_velocity=task.rest_velocity
         )
         self._estimate = estimate
-        self._departure = Departure(estimate, task.period_s)
+        self._departure = Departure(estimate, task.period_s, holds_back=rules.holds_back)
         self._speed_stage = SpeedStage(estimate, self._departure, task, rules)
         self._position_stage = PositionStage(estimate, task, rules)
         self._largest_step = task.effort_rate_limit * task.period_s
         self._rest_velocity = task.rest_velocity
+        self._is_smooth = isfinite(task.jerk)
         self.changeovers = 0
         self.start()
 
@@ -105,10 +106,10 @@ class AdaptiveLaw:
         if self.stage is _BRAKE:
             estimate.start(self.observer, self.effort)
         estimate.give_up()
-        signed_speed = course.direction * course.speed if self.stage is _SPEED else estimate.velocity
+        signed_speed, signed_slope = self._reference()
         direction = copysign(1.0, target - estimate.position)
         speed = 0.0 if at_rest else direction * signed_speed
-        self._follow(Course(target, course.position, velocity, direction, speed))
+        self._follow(Course(target, course.position, velocity, direction, speed, direction * signed_slope))
         presses = self.saturated and abs(self.observer.velocity) <= self._rest_velocity
         self._departure.set_out(self.observer.position, leaves_obstacle=presses)
         self.stage = _SPEED
@@ -116,18 +117,29 @@ class AdaptiveLaw:
             self._departure.hold(self.effort)
             estimate.begin_move(direction)
 
+    def _reference(self) -> tuple[float, float]:
+        """Return the speed that the next move goes on from, and its change in the last tick, in axis unit/s."""
+        course = self._course
+        if self.stage is _BRAKE:
+            return self._estimate.velocity, self.stop_stage.slope
+        if self.stage is _SPEED or (self._is_smooth and course.braking is not None):
+            return course.direction * course.speed, course.direction * course.slope
+        return self._estimate.velocity, course.direction * course.slope  # one that has just come to rest has some
+
     def _stands(self, cruise_velocity: float) -> bool:
         """Whether the axis stands, beside how fast (axis unit/s) it is to be: one that moves shows another plant."""
         return abs(self._estimate.velocity) <= max(self._rest_velocity, _STANDING_SHARE * cruise_velocity)
 
-    def stop(self, deceleration: float, friction: float = 0.0, *, gradual: bool = False) -> None:
+    def stop(self, deceleration: float, friction: float = 0.0, *, gradual: bool = False, jerk: float = inf) -> None:
         """Come to rest in the brake stage, then hold; see :meth:`~twostage_servo.control.laws.law.Law.stop`."""
         if self.stage is not _BRAKE:
             self._estimate.give_up()
+            speed, slope = self._reference()
             self.stage = _BRAKE
-            self.speed_reference = self.observer.velocity
-            self.stop_stage.begin(self.speed_reference)
-        self.stop_stage.aim(deceleration, friction, gradual=gradual)
+            # One that is not smooth is not to depend on a reference: it may be what the axis does not follow.
+            self.speed_reference = self.observer.velocity if isinf(jerk) else speed
+            self.stop_stage.begin(self.speed_reference, slope)
+        self.stop_stage.aim(deceleration, friction, gradual=gradual, jerk=jerk)
 
     def skip(self, periods: int) -> None:
         """Account for periods in which no step was made: the last effort acted on, unseen."""

@@ -203,12 +203,15 @@ class Learning:
                 late.begin_late(sample)
         else:
             late.update(sample, before)
-        surprised = ticks >= _FIRST_SURPRISE and min(soon.surprise, late.surprise) > self._rules.surprise
+        least = min(soon.surprise, late.surprise) if self._rules.finds_delay else soon.surprise
+        surprised = ticks >= _FIRST_SURPRISE and least > self._rules.surprise
         self._surprises = self._surprises + 1 if surprised else 0
         if self._surprises or ticks <= _TICKS_UNTIL_ACTED:
             return None
         gap = late.evidence - soon.evidence
-        if self.moves == 0:
+        if not self._rules.finds_delay:
+            self.is_late = False
+        elif self.moves == 0:
             self.is_late = gap + self._rules.delay_evidence < 0.0
         else:
             self.is_late = self._delay_evidence + gap < 0.0
@@ -220,11 +223,11 @@ class Learning:
         """Whether the likelier fit knows the gain, and which one is likelier."""
         gap = abs(self._fits[1].evidence - self._fits[0].evidence)
         fit, rules = self._fits[self.is_late], self._rules
-        return (
-            fit.gain_share < rules.known_share
-            and fit.pole_share < rules.known_share
-            and (self.moves > 0 or gap >= rules.delay_gap)
-        )
+        return fit.gain_share < rules.known_share and fit.pole_share < rules.known_share and self._knows_delay(gap)
+
+    def _knows_delay(self, gap: float) -> bool:
+        """Whether it is known which delay is right, by a difference of the evidence of a move or by former ones."""
+        return not self._rules.finds_delay or self.moves > 0 or gap >= self._rules.delay_gap
 
     @property
     def contradicted(self) -> bool:
@@ -253,7 +256,7 @@ class Learning:
             return False
         gap = self._fits[1].evidence - self._fits[0].evidence
         gain_share = gain_spread / abs(plant.gain)
-        if gain_share < rules.sure_share and (self.moves > 0 or abs(gap) >= rules.delay_gap):
+        if gain_share < rules.sure_share and self._knows_delay(abs(gap)):
             self.is_known = True
         self.believed = plant
         self._shares = (
@@ -261,6 +264,7 @@ class Learning:
             widened(pole_spread / plant.pole, rules.prior_share),
         )
         self.loads[self._direction] = fit.load
+        gap = gap if rules.finds_delay else 0.0
         self._delay_evidence = _within(self._delay_evidence + gap, (-MOST_DELAY_EVIDENCE, MOST_DELAY_EVIDENCE))
         self.moves += 1
         return True

@@ -3,14 +3,14 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-from twostage_servo.control.laws.adaptive.placement import Poles, feedback_gains, observer_gain
+from twostage_servo.control.laws.adaptive.placement import Gains
 from twostage_servo.control.laws.adaptive.reference import Ways
 from twostage_servo.control.plant import DiscretePlant, Plant, Triple
 
 
 @dataclass(frozen=True)
 class Model:
-    """A plant, sampled, and the closed loop's poles; what follows is computed where it is asked for.
+    """A plant, sampled, and where its gains come from; what follows is computed where it is asked for.
 
     Attributes
     ----------
@@ -18,15 +18,15 @@ class Model:
         Gain and pole.
     is_late
         Whether an effort acts a tick later than the observer has it anyway.
-    poles
-        Of the closed loop.
+    gains
+        Where its gains come from: the poles of the closed loop, or the paper's design.
     period_s
         The tick, in s.
     """
 
     plant: Plant
     is_late: bool
-    poles: Poles
+    gains: Gains
     period_s: float
 
     @cached_property
@@ -42,9 +42,9 @@ class Model:
     @cached_property
     def observer_gain(self) -> Triple:
         """L1, L2, L3 of the disturbance observer in predictor form, in 1, 1/s and effort unit per axis unit."""
-        return observer_gain(self.sampled, self.poles.single, self.poles.observer)
+        return self.gains.observer_gain(self.sampled)
 
     @cached_property
     def feedback(self) -> tuple[float, float]:
         """f1 and f2 of ``u = -f1 x1 - f2 x2``, in effort unit per axis unit and per axis unit/s."""
-        return feedback_gains(self.sampled, self.poles.feedback)
+        return self.gains.feedback_gains(self.sampled)

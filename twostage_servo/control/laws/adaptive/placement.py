@@ -5,7 +5,7 @@ so they mean the same share of a tick on every tick.
 """
 
 from math import atan2, cos, hypot, sin, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from twostage_servo.control.plant import DiscretePlant, Triple
 
@@ -41,6 +41,54 @@ class Pair(NamedTuple):
         return (z - self.real) ** 2 + self.square
 
 
+class Gains(Protocol):
+    """Where the gains of a plant come from.
+
+    Attributes
+    ----------
+    memory
+        Lower right entry of A_o of the observer, equation (25).
+    """
+
+    @property
+    def memory(self) -> float: ...  # noqa: D102 - see the class
+
+    def observer_gain(self, plant: DiscretePlant) -> Triple:
+        """Return L1, L2, L3 of the disturbance observer in predictor form, in 1, 1/s and effort unit per axis unit."""
+
+    def feedback_gains(self, plant: DiscretePlant) -> tuple[float, float]:
+        """Return f1 and f2 of ``u = -f1 x1 - f2 x2``, in effort unit per axis unit and per axis unit/s."""
+
+    def slower(self, exponent: float) -> "Gains":
+        """Return those where less is known: what the loop lets die down takes ``1/exponent`` times as long."""
+
+
+class FixedGains(NamedTuple):
+    """The gains that the paper's design gives for the configured plant; they stay, whatever is known.
+
+    Attributes
+    ----------
+    observer, feedback, memory
+        ``A_o K`` of equations (26) and (27), f11 and f12 of (13), and the corner of (25).
+    """
+
+    observer: Triple
+    feedback: tuple[float, float]
+    memory: float
+
+    def observer_gain(self, plant: DiscretePlant) -> Triple:  # noqa: ARG002 - the interface's
+        """Return ``A_o K``."""
+        return self.observer
+
+    def feedback_gains(self, plant: DiscretePlant) -> tuple[float, float]:  # noqa: ARG002 - the interface's
+        """Return f11 and f12."""
+        return self.feedback
+
+    def slower(self, exponent: float) -> "FixedGains":  # noqa: ARG002 - the interface's
+        """Return the same."""
+        return self
+
+
 class Poles(NamedTuple):
     """Where the poles of the closed loop are to be.
 
@@ -55,6 +103,19 @@ class Poles(NamedTuple):
     single: float
     observer: Pair
     feedback: Pair
+
+    @property
+    def memory(self) -> float:
+        """1: the disturbance persists."""
+        return 1.0
+
+    def observer_gain(self, plant: DiscretePlant) -> Triple:
+        """Return L1, L2, L3; see :func:`observer_gain`."""
+        return observer_gain(plant, self.single, self.observer)
+
+    def feedback_gains(self, plant: DiscretePlant) -> tuple[float, float]:
+        """Return f1 and f2; see :func:`feedback_gains`."""
+        return feedback_gains(plant, self.feedback)
 
     def slower(self, exponent: float) -> "Poles":
         """Return all of them to a power; see :meth:`Pair.slower`."""

@@ -56,7 +56,7 @@ class PositionStage:
             if course.braking is not None:
                 estimate.come_to_rest(direction)
             course.braking = None
-        course.speed = ahead
+        course.speed, course.slope = ahead, ahead - speed
         return direction * forward + back - estimate.disturbance
 
     def _pull(self, error: float) -> float:

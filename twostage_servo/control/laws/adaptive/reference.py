@@ -10,14 +10,14 @@ from v to v+ at a constant effort.
 """
 
 from math import ceil, floor, sqrt
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from twostage_servo.control.plant import DiscretePlant
 
 _MOST_TAPS = 400
 """Longest average: it bounds the work of a tick where the effort's rate is low."""
 
-_RATE_SHARE = 0.75
+RATE_SHARE = 0.75
 """Share of the effort's rate that the reference uses; the rest is the feedback's."""
 
 
@@ -65,6 +65,35 @@ def next_speed(way: float, speed: float, deceleration: float, ways: Ways) -> flo
     return ahead / (ticks + 1.0) + 0.5 * step * ticks
 
 
+class BrakingShape(Protocol):
+    """How a braking may begin.
+
+    Attributes
+    ----------
+    speed
+        Before the average, in axis unit/s: the newest tap.
+    way
+        How far the axis goes beyond what the unaveraged reference does, in axis unit.
+    last_weight
+        Weight of the oldest tap, as a share of that of any other.
+    """
+
+    @property
+    def speed(self) -> float: ...  # noqa: D102 - see the class
+
+    @property
+    def way(self) -> float: ...  # noqa: D102 - see the class
+
+    @property
+    def last_weight(self) -> float: ...  # noqa: D102 - see the class
+
+    def lead(self) -> list[float]:
+        """Return the speeds (axis unit/s) before those of the average, the first one first."""
+
+    def history(self) -> list[float]:
+        """Return the taps of the average when it begins, the newest first, in axis unit/s."""
+
+
 class Shape(NamedTuple):
     """The moving average, as it stands at a speed.
 
@@ -109,13 +138,26 @@ class Shape(NamedTuple):
         period_s = ways.period_s
         rise = max(0.0, ahead - speed) if ahead < goal else 0.0
         swing = (deceleration * period_s + rise) / (gain * period_s)
-        taps = min(max(2, ceil(swing / (_RATE_SHARE * effort_step))), _MOST_TAPS)
+        taps = min(max(2, ceil(swing / (RATE_SHARE * effort_step))), _MOST_TAPS)
         newest = ahead + 0.5 * rise * (taps - 1)
         # Sum of ``alpha (newest - j rise) + beta (newest - (j + 1) rise)`` over j < i < m: tap i comes i ticks later.
         once = taps * (taps - 1) / 2
         twice = once * (taps - 2) / 3
         way = period_s * newest * once - rise * (period_s * twice + ways.beta * once)
         return cls(rise, newest, taps, way / taps)
+
+    @property
+    def last_weight(self) -> float:
+        """1: all taps weigh the same."""
+        return 1.0
+
+    def lead(self) -> list[float]:
+        """Return none: the average begins at once."""
+        return []
+
+    def history(self) -> list[float]:
+        """Return the taps, the newest first, in axis unit/s."""
+        return [self.speed - index * self.rise for index in range(self.taps)]
 
 
 class Braking:
@@ -136,25 +178,32 @@ class Braking:
         Whether it has come to rest.
     """
 
-    __slots__ = ("_deceleration", "_left", "_raw", "_taps", "done")
+    __slots__ = ("_deceleration", "_last_weight", "_lead", "_left", "_raw", "_taps", "done")
 
-    def __init__(self, shape: Shape, left: float, deceleration: float) -> None:
+    def __init__(self, shape: BrakingShape, left: float, deceleration: float) -> None:
         self._raw, self._left, self._deceleration = shape.speed, left, deceleration
-        self._taps = [shape.speed - index * shape.rise for index in range(shape.taps)]
+        self._lead, self._taps, self._last_weight = shape.lead(), shape.history(), shape.last_weight
         self.done = False
 
     def __copy__(self) -> "Braking":
         """Return one that goes on by itself from where this one is."""
-        other = Braking(Shape(0.0, self._raw, 0, 0.0), self._left, self._deceleration)
-        other.resume(self._taps, done=self.done)
+        other = type(self).__new__(type(self))
+        other.resume(self)
         return other
 
-    def resume(self, taps: list[float], *, done: bool) -> None:
-        """Go on with these taps, in axis unit/s."""
-        self._taps, self.done = list(taps), done
+    def resume(self, other: "Braking") -> None:
+        """Go on where another one is."""
+        self._raw, self._left, self._deceleration, self._lead, self._taps, self._last_weight = other.stands()
+        self.done = other.done
+
+    def stands(self) -> tuple[float, float, float, list[float], list[float], float]:
+        """Return what it goes on from."""
+        return self._raw, self._left, self._deceleration, list(self._lead), list(self._taps), self._last_weight
 
     def advance(self, ways: Ways) -> float:
         """Return the averaged speed a tick on, in axis unit/s."""
+        if self._lead:
+            return self._lead.pop(0)
         ahead = 0.0
         if self._left > 0.0:
             ahead = min(next_speed(self._left, self._raw, self._deceleration, ways), self._raw)
@@ -162,6 +211,7 @@ class Braking:
         self._raw = ahead
         self._taps.insert(0, ahead)
         self._taps.pop()
-        speed = sum(self._taps) / len(self._taps)
+        lacks = 1.0 - self._last_weight
+        speed = (sum(self._taps) - lacks * self._taps[-1]) / (len(self._taps) - lacks)
         self.done = ahead == 0.0 and not any(self._taps)
         return 0.0 if self.done else speed

@@ -7,7 +7,7 @@ tick and the limits of the effort. So the same axis in millimetres, degrees or c
 from dataclasses import dataclass
 from typing import Final
 
-from twostage_servo.control.laws.adaptive.placement import Pair, Poles
+from twostage_servo.control.laws.adaptive.placement import FixedGains, Gains, Pair, Poles
 from twostage_servo.control.laws.law import ControlTask
 
 QUIET_POLES: Final = Poles(0.0512, Pair(0.9137, 0.0289), Pair(0.1033, 0.0946))
@@ -65,6 +65,11 @@ def encoder_poles(task: ControlTask, noise: float) -> Poles:
     return poles.slower(1.0 / ticks) if ticks > 1.0 else poles
 
 
+def encoder_gains(task: ControlTask, noise: float, rules: "Rules") -> Gains:
+    """Return where gains come from: the rules' fixed ones, or the poles for an encoder whose noise is in axis unit."""
+    return encoder_poles(task, noise) if rules.fixed_gains is None else rules.fixed_gains
+
+
 @dataclass(frozen=True, slots=True)
 class Rules:
     """How the law shapes a move.
@@ -83,6 +88,14 @@ class Rules:
         ask for more than the effort's rate gives.
     identification_ticks, longest_identification_ticks
         Ticks of cruise after which identification ends: where the gain is known, and in any case.
+    is_cautious
+        Whether a first move takes these times.
+    holds_back
+        Whether the effort of a move is held back until the axis is seen to move.
+    ends_friction
+        Whether what acted against a motion alone is given up as it ends, behind a noisy encoder.
+    fixed_gains
+        Gains in the place of poles; None for poles.
     """
 
     braking_share: float = 0.66
@@ -93,6 +106,10 @@ class Rules:
     pull_share: float = 0.5
     identification_ticks: int = 29
     longest_identification_ticks: int = 100_000
+    is_cautious: bool = True
+    holds_back: bool = True
+    ends_friction: bool = True
+    fixed_gains: FixedGains | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +137,8 @@ class LearningRules:
         The same of gain and pole from which a cruise has nothing more to show.
     early_share, early_ticks
         The same for a fit that ends before its time, and the ticks that it needs.
+    finds_delay
+        Whether an effort may act a tick later.
     """
 
     prior_share: float = 0.17
@@ -132,3 +151,4 @@ class LearningRules:
     known_share: float = 0.005
     early_share: float = 0.06
     early_ticks: int = 10
+    finds_delay: bool = True

@@ -4,13 +4,14 @@
 effort, v+ becomes what will be reached, so nothing winds up.
 """
 
-from math import copysign, floor, sqrt
+from math import copysign, floor, isfinite, sqrt
 
 from twostage_servo.control.laws.adaptive.changeover import Changeover
 from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.departure import Departure
 from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
 from twostage_servo.control.laws.adaptive.rules import Rules, loop_period_s
+from twostage_servo.control.laws.adaptive.smoothing import Smoothing, next_slope
 from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask
 
@@ -44,6 +45,7 @@ class SpeedStage:
         "_period_s",
         "_ramp",
         "_rules",
+        "_smoothing",
         "rise",
     )
 
@@ -51,7 +53,8 @@ class SpeedStage:
         self._estimate = estimate
         self._departure = departure
         self._rules = rules
-        self._changeover = Changeover(estimate, task, rules)
+        self._smoothing = Smoothing(task) if isfinite(task.jerk) else None
+        self._changeover = Changeover(estimate, task, rules, self._smoothing)
         self._period_s = task.period_s
         self._loop_period_s = loop_period_s(task)
         self._ramp = task.acceleration_limit * task.period_s
@@ -76,21 +79,20 @@ class SpeedStage:
         plant, direction = model.sampled, course.direction
         velocity, disturbance = direction * estimate.velocity, direction * estimate.disturbance
         goal = 0.0 if course.turns else course.cruise_velocity
-        ahead = min(goal, speed + self._largest_rise(course)) if speed < goal else max(goal, speed - self._ramp)
-        if speed < goal:
-            ahead = min(ahead, speed + self._last_rise(goal - speed))
+        ahead = self._next_reference(course, goal)
         back = model.feedback[1] * (speed - velocity) - disturbance
         wanted = (ahead - plant.a22 * speed) / plant.b2 + back
         effort, _ = limited_effort(wanted, direction * before, limit, self._largest_step)
         if effort != wanted:
             reached = plant.a22 * velocity + plant.b2 * (effort + disturbance)
-            ahead = min(max(reached, min(0.0, speed)), max(goal, speed))
+            ahead = self._withheld(course, min(max(reached, min(0.0, speed)), max(goal, speed)))
         if not course.turns:
             top = self._changeover.decide(course, ahead, limit)
             if top is not None:
                 ahead = top
                 wanted = (ahead - plant.a22 * speed) / plant.b2 + back
         self.rise = ahead - plant.a22 * speed
+        course.slope = ahead - speed
         if course.turns and ahead <= 0.0:
             self._turn_round(course, ahead)
         else:
@@ -99,9 +101,29 @@ class SpeedStage:
             self._cruise(course)
         return direction * wanted
 
+    def _next_reference(self, course: Course, goal: float) -> float:
+        """Return the speed reference a tick ahead on the way to a goal, if nothing withholds it (axis unit/s)."""
+        speed = course.speed
+        if self._smoothing is not None:
+            most = self._largest_rise(course) if speed < goal else self._ramp
+            step = self._smoothing.step(self._estimate.model.plant.gain)
+            slope = next_slope(course.slope, goal - speed, most, step)
+            return goal if slope == goal - speed else speed + slope
+        if speed < goal:
+            return min(goal, speed + self._largest_rise(course), speed + self._last_rise(goal - speed))
+        return max(goal, speed - self._ramp)
+
+    def _withheld(self, course: Course, ahead: float) -> float:
+        """Return what a reference becomes whose effort a limit cuts (axis unit/s); a smooth one changes smoothly."""
+        if self._smoothing is None:
+            return ahead
+        step = self._smoothing.step(self._estimate.model.plant.gain)
+        even = course.speed + course.slope
+        return min(max(ahead, even - step), even + step)
+
     def _largest_rise(self, course: Course) -> float:
         """Return by how much the speed reference may rise in a tick, in axis unit/s."""
-        if not self._estimate.learning.is_new:
+        if not (self._rules.is_cautious and self._estimate.learning.is_new):
             return self._ramp
         rising_s = self._rules.first_acceleration * self._loop_period_s
         quickest = min(course.cruise_velocity / rising_s, abs(course.target - self._departure.position) / rising_s**2)
@@ -125,7 +147,9 @@ class SpeedStage:
         """Set out for the set-point from rest, or nearly so."""
         position = self._estimate.position
         direction = copysign(1.0, course.target - position)
-        course.speed = ahead if direction == course.direction else -ahead
+        if direction != course.direction:
+            ahead, course.slope = -ahead, -course.slope
+        course.speed = ahead
         course.direction = direction
         course.turns = False
         self._departure.set_out(position)
