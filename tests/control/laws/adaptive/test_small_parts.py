@@ -48,12 +48,14 @@ def begun(*, ahead: float, speed: float, left: float, braking_speed: float = 20.
         _estimate=SimpleNamespace(position=100.0, model=SimpleNamespace(ways=ways)),
         _rules=SimpleNamespace(braking_share=0.66),
         _acceleration_limit=150.0,
+        _smoothing=None,
     )
-    course = SimpleNamespace(
+    course: Any = SimpleNamespace(
         direction=-1.0, speed=speed, turns=False, has_changed_over=False, position=0.0, braking=None, top=0.0
     )
     shape = Shape(0.0, braking_speed, 2, 0.0)
-    Changeover._begin_braking(changeover, course, ahead, shape, left, 100.0)  # type: ignore[arg-type]
+    plan: Any = (shape, 100.0)
+    Changeover._begin_braking(changeover, course, ahead, plan, left)
     return course
 
 
