@@ -29,13 +29,17 @@ class Bench:
             doubts_sample=False,
             innovation_gate=0.5,
             set_target=lambda target, velocity: self.asked.append((target, velocity)),
-            stop=self.asked.append,
+            stop=self.stop,
         )
         self.drive = SimpleNamespace(
             home_switch=at_switch, index=77.0, fresh=True, position=position, forget_index=self.forget_index
         )
         drive: Any = self.drive
         self.search = Homing(self.design, motion, drive)
+
+    def stop(self, deceleration: float, *, smooth: bool) -> None:
+        assert smooth  # a search has time for the jerk that is set
+        self.asked.append(deceleration)
 
     def forget_index(self) -> None:
         self.drive.index = None

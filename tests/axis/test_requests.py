@@ -31,13 +31,14 @@ SEARCH: dict[str, Any] = {"method": "index", "velocity": 40.0, "slow_velocity": 
 
 
 def decelerations(rig: AxisRig, monkeypatch: pytest.MonkeyPatch) -> list[float]:
-    """Return a list to which each braking from now on adds its deceleration."""
+    """Return a list to which each braking from now on adds its deceleration; only an ordinary one may be smooth."""
     begun: list[float] = []
     stop = rig.axis.motion.stop
 
-    def noted(deceleration: float) -> None:
+    def noted(deceleration: float, *, smooth: bool) -> None:
+        assert smooth is (deceleration == 2000.0 and rig.axis.trip is None)
         begun.append(deceleration)
-        stop(deceleration)
+        stop(deceleration, smooth=smooth)
 
     monkeypatch.setattr(rig.axis.motion, "stop", noted)
     return begun
