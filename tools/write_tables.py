@@ -3,7 +3,7 @@
 ``python -m tools.write_tables`` after a change of what they say; with ``--faults`` the fault campaign on each shipped
 configuration as well, which takes some minutes. ``--check`` writes nothing, and fails if a table is not what the code
 says, or if a fault cell is missed. With ``--share TEXT`` it runs ``demo.toml`` whole, and of each other configuration
-one cell in twelve: the text, such as the hash of a commit, decides on which.
+one cell in sixteen: the text, such as the hash of a commit, decides on which.
 """
 
 import argparse
