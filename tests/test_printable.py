@@ -14,7 +14,7 @@ import structlog
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from twostage_servo.api.law_status import IdentifiedStatus, LawStatus, LoadStatus
+from twostage_servo.api.law_status import IdentifiedStatus, LawStatus, LoadStatus, RejectionStatus
 from twostage_servo.api.status import (
     AuthorityStatus,
     AxisReport,
@@ -139,6 +139,7 @@ def test_a_status_is_shown_whatever_its_texts_say(screen: Terminal, text: str) -
         bus=BusStatus(channel=text, open=False, error=text, drive_state=None, controller=text, error_counters=None),
         law=LawStatus(
             type=text, accepted=False, file_error=text,
+            rejection=RejectionStatus(code=text, cause=text, degrades=True),
             identified=IdentifiedStatus(
                 gain=1.0, pole=1.0, delay_ticks=1, load=LoadStatus(forward=1.0, backward=None), moves=1
             ),

@@ -143,7 +143,39 @@ def test_the_adaptive_law_moves_like_a_servo_and_shows_what_it_has_found(capsys:
     assert identified["delay_ticks"] == 0
     assert identified["load"]["forward"] == pytest.approx(0.0, abs=0.1)
     assert identified["load"]["backward"] == pytest.approx(0.0, abs=0.1)
-    assert demo(capsys)["law"] == {"type": "paper", "identified": None, "accepted": None}
+    assert law["rejection"] is None
+    assert demo(capsys)["law"] == {"type": "paper", "identified": None, "accepted": None, "rejection": None}
+
+
+@pytest.mark.parametrize(
+    ("changed", "codes"),
+    [
+        (("simulation.resonance_hz=15",), {"fit_residual", "unexplained_motion"}),
+        (("simulation.resonance_hz=15", "simulation.resonance_damping=0.05"), {"fit_residual", "unexplained_motion"}),
+        (("simulation.backlash=0.2",), {"fit_residual"}),
+    ],
+)
+def test_on_a_plant_of_another_form_the_adaptive_law_degrades_and_says_so(
+    changed: tuple[str, ...], codes: set[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    sets = [argument for key in ("axis.law.type=adaptive", *changed) for argument in ("--set", key)]
+    result = demo(capsys, "--moves", "3", *sets)
+    assert result["trip"] is result["failure"] is None
+    assert result["law"]["rejection"]["code"] in codes
+    assert result["law"]["rejection"]["degrades"]
+    assert not result["law"]["accepted"]
+    for move in result["moves"]:
+        assert move["overshoot"] < 1.0
+        assert abs(move["final_error"]) < 0.05
+
+
+def test_a_pole_three_times_the_models_is_named_when_the_model_monitor_trips(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    sets = ("--set", "axis.law.type=adaptive", "--set", "simulation.pole=42")
+    result = demo(capsys, *sets, exit_code=ExitCode.FAILED)
+    assert result["trip"]["code"] == "model_mismatch"
+    assert result["law"]["rejection"]["code"] == "pole_out_of_bounds"
 
 
 @pytest.mark.parametrize("example", ["example1.toml", "example2.toml"])

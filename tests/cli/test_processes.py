@@ -376,7 +376,7 @@ def test_what_a_law_had_learned_is_there_after_a_start_until_somebody_lets_it_fo
     load = {"forward": 0.1, "backward": None}
     identified = {"gain": 200.0, "pole": 13.0, "delay_ticks": 1, "load": load, "moves": 3}
     assert machine.ask("status")["law"] == {
-        "type": "adaptive", "identified": identified, "accepted": True, "file_error": None,
+        "type": "adaptive", "identified": identified, "accepted": True, "rejection": None, "file_error": None,
     }  # fmt: skip
     assert machine.ask("forget")["law"]["identified"] is None
     service.end(signal.SIGTERM)

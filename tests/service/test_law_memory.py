@@ -390,7 +390,9 @@ def test_who_forgets_is_told_when_the_file_has_gone(tmp_path: Path) -> None:
         await one_move(world)
         answer = await asking(world, memory)()
         assert (names(tmp_path), moves(world)) == ([], 0)
-        assert answer["law"] == {"type": "adaptive", "identified": None, "accepted": None, "file_error": None}
+        assert answer["law"] == {
+            "type": "adaptive", "identified": None, "accepted": None, "rejection": None, "file_error": None,
+        }  # fmt: skip
         await world.seconds(0.1)
         memory.finish()
         await files.close()

@@ -10,9 +10,12 @@ from twostage_servo.api.requests import ForgetRequest
 from twostage_servo.api.status import AxisReport, Status
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
+from twostage_servo.axis.trips import TripCode
 from twostage_servo.cli.axis_text import describe
 
 ADAPTIVE = ("axis.law.type=adaptive", "simulation.gain=225")
+
+NOTHING = {"type": "adaptive", "identified": None, "accepted": None, "rejection": None, "file_error": None}
 
 
 async def moved(world: World, *targets: float) -> None:
@@ -24,7 +27,7 @@ async def moved(world: World, *targets: float) -> None:
 def test_the_status_tells_what_has_been_learned_and_forget_erases_it() -> None:
     async def script(world: World) -> None:
         await world.armed()
-        assert world.report["law"] == {"type": "adaptive", "identified": None, "accepted": None, "file_error": None}
+        assert world.report["law"] == NOTHING
         await moved(world, 100.0, 0.0)
         status = Status.from_json(world.loop.snapshot())
         law = status.only.law
@@ -39,7 +42,7 @@ def test_the_status_tells_what_has_been_learned_and_forget_erases_it() -> None:
         assert "adaptive; from 2 moves: gain 22" in line
         assert "mm/s²/V, pole 1" in line
         answer = world.requests.handle(ForgetRequest())
-        assert answer["law"] == {"type": "adaptive", "identified": None, "accepted": None, "file_error": None}
+        assert answer["law"] == NOTHING
         assert "law              adaptive\n" in describe(Status.from_json(answer))
 
     simulate(script, *ADAPTIVE)
@@ -57,6 +60,31 @@ def test_only_who_commands_may_erase_it() -> None:
         assert world.requests.handle(ForgetRequest(), "somebody")["law"]["identified"] is None
 
     simulate(script, *ADAPTIVE)
+
+
+def test_the_status_tells_of_a_plant_of_another_form(tmp_path: Path) -> None:
+    """A resonance at 15 Hz: also after a trip, which erases what was learned."""
+    page = DEMO.replace("[axis.law]\n", '[axis.law]\ntype = "adaptive"\n')
+    page = page.replace("[simulation]", "[simulation]\nresonance_hz = 15.0\nresonance_damping = 0.05")
+
+    async def script(plant: Plant) -> None:
+        await plant.armed()
+        plant.ask(op="move", positions={"x": 50.0}, velocity=200.0)
+        await plant.until(lambda: set(plant.states()) == {State.HOLDING})
+        status = Status.from_json(plant.ask(op="status"))
+        law = status.only.law
+        assert law.identified is None
+        assert law.rejection is not None
+        assert law.rejection.code in {"fit_residual", "unexplained_motion"}
+        assert law.rejection.degrades
+        (line,) = [line for line in describe(status).splitlines() if line.startswith("law")]
+        assert f"adaptive; rejected ({law.rejection.code}): " in line
+        assert "it is no plant of the configured form (a resonance, backlash, a coupling that slips)" in line
+        assert line.endswith("Until a move fits, the law controls as on a plant that is not known")
+        plant.axis("x").raise_trip(TripCode.STALE_FEEDBACK, "test")
+        assert Status.from_json(plant.ask(op="status")).only.law.rejection == law.rejection
+
+    operate(machine_file(tmp_path, {"x": axis_page("x", "can0", page=page)}), script)
 
 
 def test_of_several_axes_those_forget_that_have_learned_all_or_none(tmp_path: Path) -> None:

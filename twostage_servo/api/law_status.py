@@ -32,6 +32,26 @@ class IdentifiedStatus(JsonRecord):
     moves: int
 
 
+class RejectionStatus(JsonRecord):
+    """Why what the last move has shown of the plant was not accepted.
+
+    Attributes
+    ----------
+    code
+        ``fit_residual``: no gain, pole, load and delay explain the motion. ``unexplained_motion``: nor two consecutive
+        positions. ``gain_out_of_bounds``, ``pole_out_of_bounds``: those that do lie too far off what is configured.
+        ``far_from_expected``: they are too far off what was known before the move.
+    cause
+        The same in words, with the numbers.
+    degrades
+        Whether the law controls as before anything was identified, until a move fits.
+    """
+
+    code: str
+    cause: str
+    degrades: bool
+
+
 class LawStatus(JsonRecord):
     """The law that drives an axis.
 
@@ -43,6 +63,8 @@ class LawStatus(JsonRecord):
         What it has learned of its plant; None before it has, and of a law that learns nothing.
     accepted
         Whether it controls by that plant as by one that is known; None likewise.
+    rejection
+        Why what the last move has shown was not accepted; None if it was, or if nothing has been shown.
     file_error
         Why the file of what it has learned could not be written or erased, and what to do; None if all is well.
     """
@@ -50,4 +72,5 @@ class LawStatus(JsonRecord):
     type: str
     identified: IdentifiedStatus | None
     accepted: bool | None
+    rejection: RejectionStatus | None
     file_error: str | None

@@ -111,8 +111,11 @@ def _of_law(report: AxisReport) -> str:
     """Return which law drives an axis, and what it has learned."""
     law, axis = report.law, report.axis
     found = law.identified
+    rejected = "" if law.rejection is None else f"; rejected ({law.rejection.code}): {law.rejection.cause}"
+    if law.rejection is not None and law.rejection.degrades:
+        rejected += ". Until a move fits, the law controls as on a plant that is not known"
     if found is None:
-        return law.type
+        return law.type + rejected
     loads = [
         f"{load:.3g} {axis.effort_unit} {way}"
         for way, load in (("forward", found.load.forward), ("backward", found.load.backward))
@@ -121,7 +124,7 @@ def _of_law(report: AxisReport) -> str:
     return (
         f"{law.type}; from {found.moves} {'move' if found.moves == 1 else 'moves'}: gain {found.gain:.4g} "
         f"{axis.unit}/s²/{axis.effort_unit}, pole {found.pole:.4g} 1/s, delay {found.delay_ticks} ticks, "
-        f"load {', '.join(loads) or 'unknown'}" + ("" if law.accepted else "; not yet sure of it")
+        f"load {', '.join(loads) or 'unknown'}" + ("" if law.accepted else "; not yet sure of it") + rejected
     )
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 from twostage_servo.api.fields import JsonObject
-from twostage_servo.api.law_status import IdentifiedStatus, LawStatus, LoadStatus
+from twostage_servo.api.law_status import IdentifiedStatus, LawStatus, LoadStatus, RejectionStatus
 from twostage_servo.api.status import (
     AuthorityStatus,
     AxisReport,
@@ -125,17 +125,23 @@ def report_axis(axis_loop: "AxisLoop") -> AxisReport:
 def law_status(axis: "Axis", file_error: str | None = None) -> LawStatus:
     """Return which law drives an axis, what it has learned of its plant, and what keeps its file from being so."""
     name, learned = axis.settings.law.type, axis.learned
-    if learned is None or not learned.moves:
-        return LawStatus(type=name, identified=None, accepted=None, file_error=file_error)
-    forward, backward = learned.load
-    identified = IdentifiedStatus(
-        gain=learned.gain,
-        pole=learned.pole,
-        delay_ticks=learned.delay_ticks,
-        load=LoadStatus(forward=forward, backward=backward),
-        moves=learned.moves,
+    identified, why = None, None if learned is None else learned.rejection
+    if learned is not None and learned.moves:
+        forward, backward = learned.load
+        identified = IdentifiedStatus(
+            gain=learned.gain,
+            pole=learned.pole,
+            delay_ticks=learned.delay_ticks,
+            load=LoadStatus(forward=forward, backward=backward),
+            moves=learned.moves,
+        )
+    return LawStatus(
+        type=name,
+        identified=identified,
+        accepted=None if learned is None or identified is None else learned.is_sure,
+        rejection=None if why is None else RejectionStatus(code=str(why.code), cause=why.cause, degrades=why.degrades),
+        file_error=file_error,
     )
-    return LawStatus(type=name, identified=identified, accepted=learned.is_sure, file_error=file_error)
 
 
 def _axis_status(axis_loop: "AxisLoop") -> AxisStatus:

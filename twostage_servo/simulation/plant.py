@@ -2,6 +2,8 @@
 
 from math import copysign, expm1, inf, isfinite, log1p
 
+from twostage_servo.simulation.coupling import Coupling, Glide
+
 
 class TruePlant:
     """Plant ``G(s) = gain / (s (s + pole))`` from effort to position, with Coulomb friction and stiction.
@@ -25,13 +27,15 @@ class TruePlant:
         Position at the start; the velocity is 0.
     stop_minimum, stop_maximum : float, optional
         Positions of the hard stops, position unit; infinite for none. The start lies between them.
+    coupling : Coupling, optional
+        Through which it moves a load, which it tells of each of its motions; None for a load that is fixed to it.
 
     Attributes
     ----------
     position : float
-        Position, position unit.
+        Position, position unit; with a coupling that of the drive's side.
     velocity : float
-        Velocity, position unit / s. Exactly 0.0 at rest.
+        Velocity, position unit / s, of the same. Exactly 0.0 at rest.
 
     Raises
     ------
@@ -39,7 +43,16 @@ class TruePlant:
         If a parameter is out of its range.
     """
 
-    __slots__ = ("_coulomb_friction", "_gain", "_pole", "_stop_maximum", "_stop_minimum", "position", "velocity")
+    __slots__ = (
+        "_coulomb_friction",
+        "_coupling",
+        "_gain",
+        "_pole",
+        "_stop_maximum",
+        "_stop_minimum",
+        "position",
+        "velocity",
+    )
 
     def __init__(
         self,
@@ -49,6 +62,7 @@ class TruePlant:
         position: float = 0.0,
         stop_minimum: float = -inf,
         stop_maximum: float = inf,
+        coupling: Coupling | None = None,
     ) -> None:
         self.change(gain, pole, coulomb_friction)
         if not (isfinite(position) and stop_minimum <= position <= stop_maximum):
@@ -57,6 +71,7 @@ class TruePlant:
             )
         self._stop_minimum = stop_minimum
         self._stop_maximum = stop_maximum
+        self._coupling = coupling
         self.position = position
         self.velocity = 0.0
 
@@ -79,6 +94,8 @@ class TruePlant:
     def halt(self) -> None:
         """Stand still at once, where it is."""
         self.velocity = 0.0
+        if self._coupling is not None:
+            self._coupling.halt()
 
     def advance(self, duration_s: float, effort: float) -> float:
         """Move on by `duration_s` at constant effort. Exact for any duration: there is no step size to choose.
@@ -117,11 +134,18 @@ class TruePlant:
                 passed_s = self._time_to(hard_stop, passed_s, acceleration, direction)
                 self.position = hard_stop
             elif until_rest_s > duration_s:
-                break
+                if self._coupling is not None:
+                    glide = Glide(position, velocity, acceleration, self._pole)
+                    self._coupling.follow(glide, duration_s, self.position)
+                return self.position if first_stop is None else first_stop
+            if self._coupling is not None:
+                self._coupling.follow(Glide(position, velocity, acceleration, self._pole), passed_s, self.position)
             self.velocity = 0.0
             duration_s -= passed_s
             if first_stop is None:
                 first_stop = self.position
+        if self._coupling is not None:
+            self._coupling.rest(duration_s, self._pole)
         return self.position if first_stop is None else first_stop
 
     def _direction(self, effort: float) -> float:

@@ -11,6 +11,10 @@ def _place(description: str) -> Any:
     return quantity(None, unit="axis unit", description=description, ge=-1e9, le=1e9)
 
 
+_LOWEST_RESONANCE_HZ = 0.1
+"""Below it the load would hardly follow the drive within a move."""
+
+
 class SimulationSettings(Settings):
     """The ``[simulation]`` table."""
 
@@ -24,6 +28,23 @@ class SimulationSettings(Settings):
         description="Dry friction: the effort below which the axis at rest does not move.",
         ge=0,
         le=1e6,
+    )
+    resonance_hz: float = quantity(
+        0.0,
+        unit="Hz",
+        description="Frequency at which the load, with the encoder on it, swings against the drive; 0: fixed to it.",
+        ge=0,
+        le=10_000,
+    )
+    resonance_damping: float = quantity(
+        0.02, unit="1", description="Damping ratio of that resonance.", ge=0.0001, le=0.99
+    )
+    backlash: float = quantity(
+        0.0,
+        unit="axis unit",
+        description="Play between the drive and the load with the encoder: the whole width of the gap.",
+        ge=0,
+        le=1e9,
     )
     load: float = quantity(
         0.0, unit="effort unit", description="Constant load; positive opposes positive effort.", ge=-1e6, le=1e6
@@ -107,6 +128,16 @@ class SimulationSettings(Settings):
             raise ValueError("effort would not move this plant; give a gain, such as 180")
         return value
 
+    @field_validator("resonance_hz")
+    @classmethod
+    def _swings_in_a_run(cls, value: float) -> float:
+        if 0.0 < value < _LOWEST_RESONANCE_HZ:
+            raise ValueError(
+                f"{value:g} Hz is no resonance of a drive: give {_LOWEST_RESONANCE_HZ:g} Hz or more, or 0 for a load "
+                "that is fixed to the drive"
+            )
+        return value
+
     @field_validator("quantum")
     @classmethod
     def _none_or_sensible(cls, value: float) -> float:
@@ -128,6 +159,13 @@ class SimulationSettings(Settings):
             raise ValueError("home_switch_from and home_switch_to are the two ends of one switch: give both or neither")
         if self.index_pitch and self.index_at is None:
             raise ValueError(f"index_pitch = {self.index_pitch:g} without index_at: set it to the position of one mark")
+        if self.hard_stop_minimum is not None and self.hard_stop_maximum is not None:
+            way = self.hard_stop_maximum - self.hard_stop_minimum
+            if self.backlash >= way:
+                raise ValueError(
+                    f"backlash = {self.backlash:g} is not below the way of {way:g} between the hard stops: the load "
+                    "would never move"
+                )
         for stop, sign in ((self.hard_stop_minimum, -1.0), (self.hard_stop_maximum, 1.0)):
             if stop is not None and (self.initial_position - stop) * sign > 0.0:
                 raise ValueError(f"initial_position = {self.initial_position:g} is beyond the hard stop at {stop:g}")

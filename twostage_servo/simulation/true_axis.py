@@ -2,6 +2,7 @@
 
 from math import ceil, floor, inf
 
+from twostage_servo.simulation.coupling import Coupling
 from twostage_servo.simulation.faults import DriveFaults
 from twostage_servo.simulation.plant import TruePlant
 from twostage_servo.simulation.settings import SimulationSettings
@@ -9,6 +10,9 @@ from twostage_servo.simulation.settings import SimulationSettings
 
 class TrueAxis:
     """Moves exactly as effort and load have it; knows nothing of commands and frames.
+
+    Position and velocity are those of the encoder, and so are switches and marks. With a resonance or backlash the
+    encoder is on the load, behind them; effort, friction, load and hard stops act on the drive's side.
 
     Parameters
     ----------
@@ -20,6 +24,7 @@ class TrueAxis:
 
     def __init__(self, settings: SimulationSettings, start_s: float) -> None:
         self._settings = settings
+        self._coupling = _coupling(settings)
         self._plant = TruePlant(
             settings.gain,
             settings.pole,
@@ -27,7 +32,9 @@ class TrueAxis:
             settings.initial_position,
             -inf if settings.hard_stop_minimum is None else settings.hard_stop_minimum,
             inf if settings.hard_stop_maximum is None else settings.hard_stop_maximum,
+            self._coupling,
         )
+        self._encoder_side = self._plant if self._coupling is None else self._coupling
         self._now_s = start_s
         self._load = 0.0
         self._load_due_s = start_s + settings.load_at_s
@@ -37,12 +44,12 @@ class TrueAxis:
     @property
     def position(self) -> float:
         """True position, axis unit."""
-        return self._plant.position
+        return self._encoder_side.position
 
     @property
     def velocity(self) -> float:
         """True velocity, axis unit/s."""
-        return self._plant.velocity
+        return self._encoder_side.velocity
 
     def advance(self, until_s: float, effort: float) -> None:
         """Move on to a time at constant effort.
@@ -101,11 +108,13 @@ class TrueAxis:
         if until_s == self._now_s:
             return
         if not self._faults.stalled:
-            start = self._plant.position
+            start = self.position
             stop = self._plant.advance(until_s - self._now_s, effort - self._load - self._faults.load)
             if self._settings.index_at is not None:
-                self._look_for_mark(self._settings.index_at, start, stop)
-                self._look_for_mark(self._settings.index_at, stop, self._plant.position)
+                if self._coupling is None:
+                    self._look_for_mark(self._settings.index_at, start, stop)
+                    start = stop
+                self._look_for_mark(self._settings.index_at, start, self.position)  # a load's turn between is not seen
         self._now_s = until_s
 
     def _look_for_mark(self, first_mark: float, start: float, end: float) -> None:
@@ -120,3 +129,10 @@ class TrueAxis:
         number = round_back((end - first_mark) / pitch)
         if number != round_back((start - first_mark) / pitch):
             self._passed_mark = first_mark + number * pitch
+
+
+def _coupling(settings: SimulationSettings) -> Coupling | None:
+    """Return what lies between drive and load; None where the load is fixed to the drive."""
+    if not (settings.resonance_hz or settings.backlash):
+        return None
+    return Coupling(settings.resonance_hz, settings.resonance_damping, settings.backlash, settings.initial_position)

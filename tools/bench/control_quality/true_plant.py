@@ -1,12 +1,10 @@
-"""The plant that a law drives in the suite: exact from event to event, with friction, load, delay, quantum and noise.
-
-``y'' = b (u - w - c sign(y')) - a y'``, with Coulomb friction c and load w in effort unit. Where the speed reaches zero
-within a tick, that instant is computed: there the plant sticks if the effort cannot overcome the friction, or turns.
-"""
+"""The plant that a law drives in the suite: that of the simulation, with load, delay, quantum and noise by the tick."""
 
 import random
 from dataclasses import dataclass
-from math import copysign, exp, log1p
+
+from twostage_servo.simulation.coupling import Coupling
+from twostage_servo.simulation.plant import TruePlant as Drive
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +25,10 @@ class TrueAxis:
         Step of the encoder, in axis unit; 0 for none.
     noise
         Standard deviation of the encoder, in axis unit.
+    resonance_hz, resonance_damping
+        Of the load with the encoder on it, in Hz and as a damping ratio; 0 Hz where it is fixed to the drive.
+    backlash
+        Between drive and load, in axis unit.
     """
 
     gain: float
@@ -38,6 +40,9 @@ class TrueAxis:
     effort_rate: float = 1000.0
     quantum: float = 0.01
     noise: float = 0.0
+    resonance_hz: float = 0.0
+    resonance_damping: float = 0.02
+    backlash: float = 0.0
 
 
 class TruePlant:
@@ -56,21 +61,23 @@ class TruePlant:
     ----------
     axis
         As given.
-    position, velocity
-        The truth, in axis unit and axis unit/s.
     load
         As the axis', until it is changed: a load step.
     """
 
-    __slots__ = ("_efforts", "_period_s", "_random", "axis", "load", "position", "velocity")
+    __slots__ = ("_drive", "_efforts", "_encoder_side", "_period_s", "_random", "axis", "load")
 
     def __init__(self, axis: TrueAxis, period_s: float, seed: int) -> None:
         self.axis = axis
         self._period_s = period_s
         self._random = random.Random(seed)  # noqa: S311 - no secret
         self._efforts = [0.0] * axis.delay_ticks
-        self.position = self.velocity = 0.0
         self.load = axis.load
+        coupling = None
+        if axis.resonance_hz or axis.backlash:
+            coupling = Coupling(axis.resonance_hz, axis.resonance_damping, axis.backlash, 0.0)
+        self._drive = Drive(axis.gain, axis.pole, axis.friction, coupling=coupling)
+        self._encoder_side = self._drive if coupling is None else coupling
 
     def sample(self) -> float:
         """Return what the encoder shows now, in axis unit."""
@@ -84,23 +91,22 @@ class TruePlant:
         if self._efforts:
             self._efforts.append(effort)
             effort = self._efforts.pop(0)
-        gain, pole, friction = self.axis.gain, self.axis.pole, self.axis.friction
-        net, left_s = effort - self.load, self._period_s
-        while left_s > 0.0:
-            velocity = self.velocity
-            if velocity == 0.0:
-                if abs(net) <= friction:
-                    return
-                sign = copysign(1.0, net * gain)
-            else:
-                sign = copysign(1.0, velocity)
-            final = gain / pole * (net - copysign(friction, gain) * sign)  # the speed that it tends to
-            step_s = left_s
-            if velocity != 0.0 and final * velocity < 0.0:
-                stop_s = log1p(-velocity / final) / pole  # until it stands
-                step_s = min(left_s, stop_s)
-            decay = exp(-pole * step_s)
-            stands = step_s < left_s
-            self.position += final * step_s + (velocity - final) * (1.0 - decay) / pole
-            self.velocity = 0.0 if stands else final + (velocity - final) * decay
-            left_s -= step_s
+        self._drive.advance(self._period_s, effort - self.load)
+
+    def shift(self, distance: float) -> None:
+        """Count positions from an origin that lies `distance` (axis unit) lower; not with a coupling."""
+        self._drive.position += distance
+
+    @property
+    def position(self) -> float:
+        """The truth, in axis unit."""
+        return self._encoder_side.position
+
+    @property
+    def velocity(self) -> float:
+        """The truth, in axis unit/s."""
+        return self._encoder_side.velocity
+
+    @velocity.setter
+    def velocity(self, velocity: float) -> None:
+        self._drive.velocity = self._encoder_side.velocity = velocity

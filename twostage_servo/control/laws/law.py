@@ -119,6 +119,45 @@ class SmoothLaw(Law, Protocol):
         """
 
 
+class RejectionCode(enum.StrEnum):
+    """Why what a move has shown was not accepted as the plant."""
+
+    FIT_RESIDUAL = "fit_residual"
+    UNEXPLAINED_MOTION = "unexplained_motion"
+    GAIN_OUT_OF_BOUNDS = "gain_out_of_bounds"
+    POLE_OUT_OF_BOUNDS = "pole_out_of_bounds"
+    FAR_FROM_EXPECTED = "far_from_expected"
+
+
+@dataclass(frozen=True, slots=True)
+class Rejection:
+    """A fit that was not accepted.
+
+    Attributes
+    ----------
+    code
+        Why.
+    cause
+        The same in words, with the numbers.
+    degrades
+        Whether the law controls by the gains for a plant that is not known, until a move fits again.
+    """
+
+    code: RejectionCode
+    cause: str
+    degrades: bool
+
+    @property
+    def is_of_the_form(self) -> bool:
+        """Whether no gain, pole, load and delay explain the motion."""
+        return self.code in {RejectionCode.FIT_RESIDUAL, RejectionCode.UNEXPLAINED_MOTION}
+
+    @property
+    def is_out_of_bounds(self) -> bool:
+        """Whether gain or pole is too far off what is configured."""
+        return self.code in {RejectionCode.GAIN_OUT_OF_BOUNDS, RejectionCode.POLE_OUT_OF_BOUNDS}
+
+
 @dataclass(frozen=True, slots=True)
 class Learned:
     """What a law has found out of its plant.
@@ -139,6 +178,8 @@ class Learned:
         How many moves it has learned from.
     is_sure
         Whether it controls by that plant as by one that is known.
+    rejection
+        Why what the last move has shown was not accepted; None where it was, or nothing has been shown yet.
     """
 
     gain: float
@@ -150,6 +191,7 @@ class Learned:
     load: tuple[float | None, float | None]
     moves: int
     is_sure: bool
+    rejection: Rejection | None = None
 
 
 @runtime_checkable

@@ -246,7 +246,7 @@ def test_an_origin_that_moves_moves_nothing() -> None:
     def efforts(shift: float) -> list[float]:
         rig = Rig(task(), 1.2).ticks(30).move(300.0, 100.0, 60)
         rig.law.shift(shift)
-        rig.plant.position += shift
+        rig.plant.shift(shift)
         rig.sample += shift
         return rig.ticks(400).efforts
 

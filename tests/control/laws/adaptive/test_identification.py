@@ -59,6 +59,9 @@ def test_it_is_the_least_squares_solution_with_the_prior() -> None:
     deviations = np.sqrt(np.diag(np.linalg.inv(normal)))
     assert fit.gain_share * fit.gain == pytest.approx(deviations[0], rel=1e-6)
     assert fit.pole_share * fit.pole == pytest.approx(deviations[1], rel=1e-6)
+    off = (y - a @ expected) / SPREAD
+    assert fit.residual == pytest.approx(off @ off + (expected[3] / SPREAD) ** 2, rel=1e-5)
+    assert fit.freedom == 30 - 1 - 3
 
 
 @pytest.mark.parametrize("gain", [0.7, 1.0, 1.3])

@@ -6,10 +6,9 @@ found. Between the two, what is kept is the acceleration that is predicted: a di
 another plant.
 """
 
-from collections import deque
-from math import sqrt
 from typing import Final
 
+from twostage_servo.control.laws.adaptive.encoder_noise import EncoderNoise
 from twostage_servo.control.laws.adaptive.learning import Learning
 from twostage_servo.control.laws.adaptive.memory import check_learned
 from twostage_servo.control.laws.adaptive.model import Model
@@ -26,12 +25,6 @@ from twostage_servo.control.laws.adaptive.rules import (
 from twostage_servo.control.laws.law import ControlTask, Learned
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.plant import Plant
-
-_NOISE_MEMORY: Final = 0.02
-"""Share of a sample in the noise that is measured at rest: some 50 samples."""
-
-_FEWEST_AT_REST: Final = 20
-"""Samples at rest before what they show is believed."""
 
 _LARGEST_SPREAD: Final = 30.0
 """Largest spread of a sample that identification supposes, as a multiple of the least: more is no encoder's noise."""
@@ -59,12 +52,14 @@ class ControlEstimate:
         What has been identified of the plant.
     position, velocity, disturbance
         In axis unit, axis unit/s and effort unit.
+    is_misled
+        Whether the last sample has shown that what it went by in this move was nonsense: :meth:`resume` is due.
     """
 
     __slots__ = (
         "_direction", "_efforts", "_friction", "_is_to_begin", "_learning_rules", "_learns", "_load_at_rest", "_noise",
-        "_noise_square", "_observer", "_origin", "_rest", "_rules", "_samples_at_rest", "_task", "_unit", "disturbance",
-        "learning", "model", "position", "velocity",
+        "_observer", "_origin", "_rules", "_task", "_unit", "disturbance", "is_misled", "learning", "model",
+        "position", "velocity",
     )  # fmt: skip
 
     def __init__(
@@ -75,10 +70,7 @@ class ControlEstimate:
         self._learning_rules = learning_rules
         self._learns = learns
         self._unit = noise_unit(task)
-        self._noise = noise
-        self._noise_square = 0.0
-        self._rest: deque[float] = deque(maxlen=3)
-        self._samples_at_rest = 0
+        self._noise = EncoderNoise(noise)
         memory = encoder_gains(task, noise, rules).memory
         self._observer = DisturbanceObserver(task.sampled, NO_CORRECTION, memory)
         self.learning = Learning(task.plant, learning_rules, task.period_s, task.effort_limit)
@@ -86,6 +78,7 @@ class ControlEstimate:
         self._direction, self._origin = 1.0, 0.0
         self._is_to_begin = False  # a move, with its first sample
         self._load_at_rest = 0.0  # against the move, before it
+        self.is_misled = False
         self._friction = 0.0  # what ends with the move of what acts against it
         self.position = self.velocity = self.disturbance = 0.0
         self._adopt(self.learning.believed)
@@ -95,7 +88,7 @@ class ControlEstimate:
     @property
     def noise(self) -> float:
         """Standard deviation of a sample, in axis unit: as configured, or as measured at rest where that is more."""
-        return max(self._noise, sqrt(self._noise_square) if self._samples_at_rest >= _FEWEST_AT_REST else 0.0)
+        return self._noise.deviation
 
     @property
     def spread(self) -> float:
@@ -128,6 +121,11 @@ class ControlEstimate:
     def start(self, axis: DisturbanceObserver, effort: float) -> None:
         """Go on from the estimate of the axis' observer, as if an effort (effort unit) had acted so far."""
         self._efforts = effort, effort, effort
+        self._take(axis)
+
+    def resume(self, axis: DisturbanceObserver) -> None:
+        """Go on from the estimate of the axis' observer, which knows nothing of what was identified."""
+        self.is_misled = False
         self._take(axis)
 
     def continue_from(self, other: "ControlEstimate", axis: DisturbanceObserver) -> None:
@@ -178,19 +176,11 @@ class ControlEstimate:
         self._observer.shift(distance)
         self._origin += distance
         self.position += distance
-        self._rest.clear()
+        self._noise.clear()
 
     def rest(self, sample: float | None) -> None:
-        """Take a sample (axis unit) of an axis that holds: what moves it is noise, seen in its second differences."""
-        rest = self._rest
-        if sample is None:
-            rest.clear()
-            return
-        rest.append(sample)
-        if len(rest) == rest.maxlen:
-            second = rest[2] - 2.0 * rest[1] + rest[0]
-            self._noise_square += _NOISE_MEMORY * (second * second / 6.0 - self._noise_square)
-            self._samples_at_rest += 1
+        """Take a sample (axis unit) of an axis that holds: what moves it is noise."""
+        self._noise.update(sample)
 
     # What is learned --------------------------------------------------------------------------------------------------
 
@@ -224,11 +214,14 @@ class ControlEstimate:
 
     def finish(self) -> None:
         """End to look, and go on with what is believed."""
+        only_watched = self.learning.only_watches
         if self.learning.finish():
-            self._adopt(self.learning.believed)
-            if self._rules.ends_friction and is_noisy(
-                self._task, self.noise
-            ):  # a quiet encoder shows it within two ticks
+            if only_watched:
+                self._return_to_believed()
+            else:
+                self._adopt(self.learning.believed)
+            # A quiet encoder shows it within two ticks.
+            if self._rules.ends_friction and is_noisy(self._task, self.noise):
                 self._friction = self.learning.friction(self._load_at_rest, self._largest_friction)
         else:
             self._return_to_believed()
@@ -248,7 +241,7 @@ class ControlEstimate:
     def give_up(self) -> None:
         """End to look, because something else happens; go on with the model of this move only if it is known well."""
         self._is_to_begin = False
-        self._rest.clear()  # what was seen at one place says nothing of the noise at another
+        self._noise.clear()  # what was seen at one place says nothing of the noise at another
         if not self.learning.active:
             return
         if self.learning.give_up():
@@ -276,6 +269,7 @@ class ControlEstimate:
         found = learning.update(way, direction * before, direction * before_that)
         if learning.contradicted:
             self.give_up()
+            self.is_misled = learning.trust.has_no_plant and not learning.only_watches
         elif found is not None:
             self._adopt(found.plant)
             plant, net = self.model.sampled, direction * self._acted - found.load

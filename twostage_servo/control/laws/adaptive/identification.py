@@ -74,8 +74,8 @@ class Fit:
     """
 
     __slots__ = (
-        "_effort_once", "_effort_twice", "_period_s", "_position_once", "_root", "_sample", "_time_s", "_values",
-        "_variance", "evidence", "misfit", "position", "samples", "surprise",
+        "_effort_once", "_effort_twice", "_period_s", "_position_once", "_prior", "_root", "_sample", "_time_s",
+        "_values", "_variance", "evidence", "misfit", "position", "samples", "surprise",
     )  # fmt: skip
 
     def __init__(self, prior: Prior, spread: float, period_s: float) -> None:
@@ -89,6 +89,7 @@ class Fit:
             [of_gain * load, 0.0, prior.load_spread * gain, 0.0],
             [0.0, 0.0, 0.0, spread],
         ]
+        self._prior = prior
         self._period_s = period_s
         self._effort_once = self._effort_twice = self._position_once = self._time_s = self._sample = 0.0
         self.position = self.evidence = self.surprise = self.misfit = 0.0
@@ -167,6 +168,25 @@ class Fit:
         """The speed at the last sample, in axis unit/s: the equation integrated once."""
         gain, pole, push, _ = self._values
         return gain * self._effort_once - pole * self._sample - push * self._time_s
+
+    @property
+    def residual(self) -> float:
+        """What the samples are off the fit: the sum of squares, in variances of a sample.
+
+        Recursive least squares reaches the least of ``Σ (y - φ θ)²/σ² + (θ - θ0)' P0⁻¹ (θ - θ0)``, and the sum of the
+        squared innovations, each in its own variance, is that least. So :attr:`misfit` less what the fit has moved away
+        from gain, pole and load of the prior is left: how far it has moved says nothing of how well it fits.
+        """
+        prior, (gain, pole, push, _) = self._prior, self._values
+        of_gain = (gain / prior.gain - 1.0) / prior.gain_share
+        of_pole = (pole / prior.pole - 1.0) / prior.pole_share
+        of_load = (push / prior.gain - prior.load * (1.0 + prior.gain_share * of_gain)) / prior.load_spread
+        return self.misfit - of_gain * of_gain - of_pole * of_pole - of_load * of_load
+
+    @property
+    def freedom(self) -> int:
+        """Samples less gain, pole and load (the place has a sample's prior): what the residual is on average."""
+        return self.samples - 3
 
     @property
     def gain_share(self) -> float:

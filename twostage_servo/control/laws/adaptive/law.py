@@ -239,6 +239,8 @@ class AdaptiveLaw:
             return self.effort
         estimate.update(sample, self.effort)
         observer.update(observer.position if sample is None else sample, self.effort)
+        if estimate.is_misled:
+            estimate.resume(observer)
         if self.stage is _SPEED:
             departure, limit = self._departure, self.effort_limit
             if departure.leaves_obstacle:

@@ -5,8 +5,9 @@ It comes back from a file, which may be of another plant, half written, or edite
 
 from typing import Final
 
+from twostage_servo.control.laws.adaptive.acceptance import GAIN_BOUNDS, POLE_BOUNDS
 from twostage_servo.control.laws.adaptive.identification import widened
-from twostage_servo.control.laws.adaptive.learning import GAIN_BOUNDS, MOST_DELAY_EVIDENCE, POLE_BOUNDS
+from twostage_servo.control.laws.adaptive.learning import MOST_DELAY_EVIDENCE
 from twostage_servo.control.laws.adaptive.rules import LearningRules
 from twostage_servo.control.laws.law import ControlTask, Learned
 

@@ -131,6 +131,16 @@ class LearningRules:
         Squared innovation, in its own variances, that neither fit may show twice in a row.
     misfit
         Mean of these up to which a fit is believed.
+    residual, first_residual
+        Largest sum of squares that a fit may leave, in variances of a sample: for each sample that is more than it
+        takes, and once, for what the first ticks of a healthy axis add (friction that breaks away within a tick, a load
+        that is not held yet): up to 56 on 600 axes.
+    residual_samples
+        Samples of either fit from which that counts.
+    form_samples
+        Samples of a fit from which its form is known to be right, if that holds.
+    far
+        Multiple of a bound of gain or pole beyond which a fit is that of another plant.
     sure_share
         Spread of the gain up to which the plant is known.
     known_share
@@ -147,6 +157,11 @@ class LearningRules:
     delay_gap: float = 3.0
     surprise: float = 40.0
     misfit: float = 4.0
+    residual: float = 3.0
+    first_residual: float = 60.0
+    residual_samples: int = 5
+    form_samples: int = 20
+    far: float = 1.25
     sure_share: float = 0.08
     known_share: float = 0.005
     early_share: float = 0.06
