@@ -25,7 +25,7 @@ _ADAPTIVE: Final = "axis.law.type=adaptive"
 _SEEDS: Final = range(1, 8)
 _OFF: Final = 0.3
 _LONGEST_S: Final = 10.0
-"""What a move that does not settle counts in a median."""
+"""What a move that does not settle counts in a mean."""
 
 
 @dataclass(frozen=True)
@@ -123,10 +123,10 @@ def _stuck(keys: tuple[str, ...]) -> str:
 
 
 def _rubs(keys: tuple[str, ...]) -> str:
-    """Return the median over some seeds of the noise, of a third move of 100 mm, to 0.1 mm."""
+    """Return the mean over some seeds of the noise, of a third move of 100 mm, to 0.1 mm."""
     rough = (*keys, "simulation.noise_std=0.0316", "simulation.coulomb_friction=1", "axis.window.position=0.1")
     times = [demo((*rough, f"simulation.seed={seed}"), "--to", "100", "--moves", "3").settling_s for seed in _SEEDS]
-    return f"{statistics.median(_LONGEST_S if one is None else one for one in times):.2f} s"
+    return f"{statistics.fmean(_LONGEST_S if one is None else one for one in times):.2f} s"
 
 
 def _pushed(keys: tuple[str, ...]) -> str:
@@ -137,7 +137,7 @@ def _pushed(keys: tuple[str, ...]) -> str:
 CASES: Final = (
     ("delay", "effort acts a tick late", _late),
     ("departure", "axis that is stuck (friction of 23 V): effort until it trips", _stuck),
-    ("friction", "friction of 1 V, noise of 0.0316 mm: a third move of 100 mm, to 0.1 mm (median)", _rubs),
+    ("friction", "friction of 1 V, noise of 0.0316 mm: a third move of 100 mm, to 0.1 mm (mean of seven)", _rubs),
     ("root", "load of 6 V as the axis brakes, effort rate of 400 V/s", _pushed),
 )
 """Parts that a quiet axis without a load has no use for, and where they tell."""
