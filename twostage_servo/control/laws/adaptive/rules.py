@@ -157,7 +157,7 @@ class LearningRules:
     delay_gap: float = 3.0
     surprise: float = 40.0
     misfit: float = 4.0
-    residual: float = 3.0
+    residual: float = 4.0
     first_residual: float = 60.0
     residual_samples: int = 5
     form_samples: int = 20
