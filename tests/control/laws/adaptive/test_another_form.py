@@ -13,7 +13,7 @@ from twostage_servo.control.laws.adaptive.acceptance import poor_fit
 from twostage_servo.control.laws.adaptive.identification import Fit, Prior
 from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
 from twostage_servo.control.laws.adaptive.rules import LearningRules
-from twostage_servo.control.laws.law import Rejection, RejectionCode
+from twostage_servo.control.laws.rejection import Rejection, RejectionCode
 
 MODEL = TrueAxis(180.0, 14.0, effort_limit=24.0, quantum=0.001)
 RINGS = replace(MODEL, resonance_hz=15.0, resonance_damping=0.05)

@@ -12,7 +12,7 @@ from typing import Final
 
 from twostage_servo.control.laws.adaptive.identification import Fit
 from twostage_servo.control.laws.adaptive.rules import LearningRules
-from twostage_servo.control.laws.law import Rejection, RejectionCode
+from twostage_servo.control.laws.rejection import Rejection, RejectionCode
 from twostage_servo.control.plant import Plant
 
 GAIN_BOUNDS: Final = (0.6, 1.65)

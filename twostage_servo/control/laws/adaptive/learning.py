@@ -21,7 +21,8 @@ from twostage_servo.control.laws.adaptive.acceptance import (
 from twostage_servo.control.laws.adaptive.identification import Fit, Prior, widened
 from twostage_servo.control.laws.adaptive.rules import LearningRules
 from twostage_servo.control.laws.adaptive.trust import Trust
-from twostage_servo.control.laws.law import Learned, Rejection
+from twostage_servo.control.laws.law import Learned
+from twostage_servo.control.laws.rejection import Rejection
 from twostage_servo.control.plant import Plant
 
 _UNKNOWN_SHARE: Final = 0.8

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from twostage_servo.control.laws.law import Rejection
+from twostage_servo.control.laws.rejection import Rejection
 
 _MOST_MOVES_WATCHED: Final = 64
 """Moves in a row that have to fit, at most, before the law controls by what they show again."""
