@@ -14,7 +14,7 @@ from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.laws.margins import Margins
 from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.laws.paper_margins import loop_margins
-from twostage_servo.control.laws.stop import StopDesign
+from twostage_servo.control.laws.stop_design import StopDesign
 from twostage_servo.control.model_monitor.hypotheses import OTHER_GAINS
 from twostage_servo.control.observer import NO_CORRECTION
 from twostage_servo.control.plant import Plant

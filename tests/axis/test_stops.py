@@ -13,7 +13,7 @@ from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import BRAKING, State
 from twostage_servo.axis.trips import TripCode
-from twostage_servo.control.laws.stop import StopDesign
+from twostage_servo.control.laws.stop_design import StopDesign
 
 STOP, QUICK = 2000.0, 4000.0
 """Decelerations of the rig's axis, in mm/s²."""

@@ -7,7 +7,7 @@ from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.control.laws import law
 from twostage_servo.control.laws.law import ControlTask, Law, LawDesign
 from twostage_servo.control.laws.registry import LAWS, PAPER
-from twostage_servo.control.laws.stop import smoothing_distance, smoothing_time_s
+from twostage_servo.control.laws.stop_design import smoothing_distance, smoothing_time_s
 from twostage_servo.control.model_monitor.monitor import ModelMonitor
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, KalmanGain, NoiseModel, kalman_gain
 from twostage_servo.control.plant import MODEL_ERROR, DiscretePlant, Plant, Triple

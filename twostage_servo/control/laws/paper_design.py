@@ -9,7 +9,7 @@ from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stag
 from twostage_servo.control.laws.margins import LEAST_MODULUS_MARGIN, loop_of, settling_time_s
 from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.laws.paper_margins import closed_loop_poles, loop_margins, stage_control, stage_controller
-from twostage_servo.control.laws.stop import StopsByRamp
+from twostage_servo.control.laws.stop_design import StopsByRamp
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains, servo_gains
 from twostage_servo.control.plant import DiscretePlant

@@ -15,7 +15,8 @@ from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask, DesignError, Loop, Stage
 from twostage_servo.control.laws.margins import settling_time_s
 from twostage_servo.control.laws.paper_margins import closed_loop_poles
-from twostage_servo.control.laws.stop import Stop, StopsByRamp
+from twostage_servo.control.laws.stop import Stop
+from twostage_servo.control.laws.stop_design import StopsByRamp
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
 

@@ -11,7 +11,7 @@ from twostage_servo.control.laws.adaptive.design import AdaptiveDesign, design_a
 from twostage_servo.control.laws.adaptive.reference import Braking, Ways
 from twostage_servo.control.laws.adaptive.smoothing import SmoothShape, next_slope
 from twostage_servo.control.laws.law import ControlTask, Stage
-from twostage_servo.control.laws.stop import smoothing_distance, smoothing_time_s
+from twostage_servo.control.laws.stop_design import smoothing_distance, smoothing_time_s
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel, kalman_gain
 from twostage_servo.control.plant import Plant
 

@@ -29,7 +29,8 @@ from twostage_servo.control.laws.margins import (
     poles_of,
     settling_time_s,
 )
-from twostage_servo.control.laws.stop import StopsByRamp, braking_gain
+from twostage_servo.control.laws.stop import braking_gain
+from twostage_servo.control.laws.stop_design import StopsByRamp
 from twostage_servo.control.observer import DisturbanceObserver, extended_model
 from twostage_servo.control.optimal import servo_gains
 
