@@ -1,5 +1,6 @@
 """The engineer's margins are python-control's, and the service's own are equal to them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ from twostage_servo.app.assembly import design
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.config.files import shipped_configuration
 from twostage_servo.config.loader import load
+from twostage_servo.control.laws.law import Controller
 from twostage_servo.control.loop_analysis import LoopAnalysis
+from twostage_servo.control.plant import DiscretePlant
 
 SHIPPED = sorted(path.name for path in shipped_configuration("").glob("*.toml") if path.name != "two_axes.toml")
 MARGINS = ("gain_margin", "gain_reduction_margin", "phase_margin_deg", "delay_margin_s", "modulus_margin")
@@ -55,3 +58,36 @@ def test_a_stop_has_no_step() -> None:
 def test_there_are_shipped_files_to_compare() -> None:
     assert len(SHIPPED) >= 8
     assert all(Path(name).suffix == ".toml" for name in SHIPPED)
+
+
+def answer_by_hand(plant: DiscretePlant, law: Controller, ticks: int) -> list[float]:
+    """Return the positions after a load step of 1, tick by tick: the plant takes ``u - 1``, the law the position."""
+    position = velocity = 0.0
+    state, answer = np.zeros(len(law.a)), []
+    for _ in range(ticks):
+        answer.append(position)
+        total = float((np.array(law.c) @ state)[0]) - 1.0
+        state = np.array(law.a) @ state + np.array(law.b)[:, 0] * position
+        position, velocity = (
+            position + plant.a12 * velocity + plant.b1 * total,
+            plant.a22 * velocity + plant.b2 * total,
+        )
+    return answer
+
+
+@pytest.mark.parametrize("name", ["demo.toml", "fast_tick.toml"])
+def test_a_load_moves_the_axis_as_far_as_by_hand(name: str) -> None:
+    made = axis_design(name)
+    controller = made.law.loops()["position"].controller
+    assert controller is not None
+    by_hand = answer_by_hand(made.plant, controller, round(2.0 / made.period_s) + 1)
+    assert abs(by_hand[-1]) < 0.05 * max(map(abs, by_hand))
+    assert LoopAnalysis(made.plant, controller).load_step_peak() == pytest.approx(max(map(abs, by_hand)))
+
+
+def test_a_load_moves_an_unstable_loop_for_ever() -> None:
+    made = axis_design("demo.toml")
+    controller = made.law.loops()["position"].controller
+    assert controller is not None
+    turned = replace(controller, c=tuple(tuple(-gain for gain in row) for row in controller.c))
+    assert LoopAnalysis(made.plant, turned).load_step_peak() == float("inf")

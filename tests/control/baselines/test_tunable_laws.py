@@ -76,6 +76,18 @@ def test_it_settles_on_the_plant_of_its_model(law_type: TunableLawType) -> None:
     assert np.max(np.diff(position)) / PERIOD_S <= 110.0
 
 
+def test_it_uses_the_rate_of_the_effort_and_its_limit_and_no_more(law_type: TunableLawType) -> None:
+    """9 V, 0.5 V in a tick: a cruise at 100 mm/s takes 7.8 V of them."""
+    law = law_type.build(replace(task_of(), effort_limit=9.0, effort_rate_limit=50.0), law_type.start())
+    law.set_target(100.0, 110.0)
+    _, effort = drive(law, 100)
+    assert np.max(np.abs(np.diff(effort, prepend=0.0))) == pytest.approx(0.5)
+    assert np.max(np.abs(effort)) <= 9.0
+    law.set_target(-100.0, 200.0)
+    _, effort = drive(law, 100)
+    assert np.max(np.abs(effort)) == 9.0
+
+
 def test_no_load_leaves_a_steady_error(law_type: TunableLawType) -> None:
     law = law_type.build(task_of(), law_type.start())
     drive(law, 200, load=1.0)

@@ -201,3 +201,24 @@ def test_what_it_says_of_itself() -> None:
     assert (DESIGN.origin(), DESIGN.loops(), DESIGN.changeover_time_s) == ("hand", {}, 1.0 / 6.0)
     assert 0.3 < DESIGN.settling_time_s < 0.5
     assert DESIGN.stopping_time_s(100.0, 2000.0) == pytest.approx(0.05 + 2.0 / 180.0 + DESIGN.settling_time_s, rel=1e-3)
+
+
+@pytest.mark.parametrize("velocity", [30.0, 100.0, 250.0])
+@pytest.mark.parametrize("target", [0.3, 3.0, 40.0, -40.0])
+def test_a_reference_that_slows_down_comes_to_rest_just_at_its_set_point(target: float, velocity: float) -> None:
+    """A tick from v to w takes (v + w) T/2, and w²/2a more come to rest: together all that is left, and never more."""
+    law, sign, step = Run().law, math.copysign(1.0, target), 2000.0 * PERIOD_S
+    law.set_target(target, velocity)
+    slowed = 0
+    for _ in range(1000):
+        left, before = sign * (target - law.reference), sign * law.speed_reference
+        law.step(None)
+        after = sign * law.speed_reference
+        if law.stage is Stage.POSITION:
+            break
+        way = 0.5 * (before + after) * PERIOD_S + after * after / 4000.0
+        assert way <= left + 1e-9
+        if after < before or after < min(velocity, before + step) - 1e-9:
+            assert way == pytest.approx(left)
+            slowed += 1
+    assert slowed or abs(target) < 1.0
