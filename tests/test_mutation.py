@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tools.mutation.limits import LEAST_CPU_S, OTHERWISE_CPU_S, TIMES, allowed_s
-from tools.mutation.mutant import Mutant
+from tools.mutation.mutant import Mutant, is_about_equal_lengths
 from tools.mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell
 from tools.mutation.results import KeptResults, digest, in_order, share_of, with_status
 from tools.mutation.rooms import ROOMS, Room, files_of, paths_of_tests
@@ -53,6 +53,24 @@ def test_a_share_that_is_none_is_refused(text: str) -> None:
     assert share("3/20") == (3, 20)
     with pytest.raises(Exception, match="give a part of all"):
         share(text)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "lengths_alone"),
+    [
+        ("for a, b in zip(c, d, strict=True):", "for a, b in zip(c, d, strict=False):", True),
+        ("for a, b in zip(c, d, strict=True):", "for a, b in zip(c, d, ):", True),
+        (
+            "x = sum(a * b for a, b in zip(c, d, strict=True))",
+            "x = sum(a / b for a, b in zip(c, d, strict=True))",
+            False,
+        ),
+        ("for a, b in zip(c, d, strict=True):", "for a, b in zip(c, None, strict=True):", False),
+        ("a = b", "a = None", False),
+    ],
+)
+def test_whether_lengths_are_checked_is_no_change(before: str, after: str, lengths_alone: bool) -> None:
+    assert is_about_equal_lengths((f"- {before}", f"+ {after}")) is lengths_alone
 
 
 def test_a_room_has_its_files_and_the_tests_that_there_are(tree: Path) -> None:

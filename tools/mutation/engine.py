@@ -8,9 +8,11 @@ what :mod:`reach` found, and ``most_tests_s`` how long the tests of a mutant may
 
 mutmut's own operators are used but for the strings, with three added: a comparison is negated, a condition is negated,
 and an ``and`` or ``or`` loses either side. Places that mutmut leaves out are taken in. A property is written as an
-assignment first, which mutmut can mutate. Numbers, signs and conditions outside functions, in constants and defaults,
-are given out with status ``fresh``, for :mod:`tools.mutation.run` to try in processes of their own; so is what survived
-of a function that the import of the tests calls: mutmut forks after it and does not see what a mutant changes there.
+assignment first, which mutmut can mutate. Left out are protocols, which have no code, and ``strict=`` of a zip.
+
+Numbers, signs and conditions outside functions, in constants and defaults, are given out with status ``fresh``, for
+:mod:`tools.mutation.run` to try in processes of their own; so is what survived of a function that the import of the
+tests calls: mutmut forks after it and does not see what a mutant changes there.
 """
 
 import contextlib
@@ -28,7 +30,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tools.mutation.mutant import Mutant
+from tools.mutation.mutant import Mutant, is_about_equal_lengths
 from tools.mutation.reach import Reach
 from tools.mutation.results import KeptResults, in_order, share_of
 
@@ -101,17 +103,7 @@ def without_properties(source: str) -> str:
 def enumerated(path: str) -> Iterator[tuple[str | None, Mutant, Callable[[], str]]]:
     """Give each mutant of a file with mutmut's name for it, None outside functions, and what makes its whole source."""
     module, mutations, _, _ = file_mutation.create_mutations(path, Path(path).read_text(encoding="utf-8"))
-    owner = {}
-    for statement in module.body:
-        if isinstance(statement, cst.FunctionDef):
-            owner[statement] = ("x_" + statement.name.value, statement.name.value)
-        elif isinstance(statement, cst.ClassDef) and isinstance(statement.body, cst.IndentedBlock):
-            name = statement.name.value
-            for part in statement.body.body:
-                if isinstance(part, cst.FunctionDef):
-                    owner[part] = (f"xǁ{name}ǁ{part.name.value}", f"{name}.{part.name.value}")
-                else:
-                    owner[part] = (None, name)
+    owner, declared = _owners(module)
     counts: dict[str, int] = {}
     for mutation in mutations:
         mangled, function = owner.get(mutation.contained_by_top_level_function, (None, ""))
@@ -121,7 +113,30 @@ def enumerated(path: str) -> Iterator[tuple[str | None, Mutant, Callable[[], str
         if mangled is not None:
             counts[mangled] = counts.get(mangled, 0) + 1
             name = f"{path[:-3].replace('/', '.')}.{mangled}__mutmut_{counts[mangled]}"
-        yield name, Mutant(path, function, _changed_lines(mutation, module)), partial(_mutated, mutation, module)
+        lines = _changed_lines(mutation, module)
+        if function in declared or is_about_equal_lengths(lines):
+            continue
+        yield name, Mutant(path, function, lines), partial(_mutated, mutation, module)
+
+
+def _owners(module: Any) -> tuple[dict[Any, tuple[str | None, str]], set[str]]:
+    """Return mutmut's name and ours for each part of a module, and the functions that protocols declare."""
+    owner: dict[Any, tuple[str | None, str]] = {}
+    declared = set()
+    for statement in module.body:
+        if isinstance(statement, cst.FunctionDef):
+            owner[statement] = ("x_" + statement.name.value, statement.name.value)
+        elif isinstance(statement, cst.ClassDef) and isinstance(statement.body, cst.IndentedBlock):
+            name = statement.name.value
+            is_protocol = any(getattr(base.value, "value", None) == "Protocol" for base in statement.bases)
+            for part in statement.body.body:
+                if not isinstance(part, cst.FunctionDef):
+                    owner[part] = (None, name)
+                    continue
+                owner[part] = (f"xǁ{name}ǁ{part.name.value}", f"{name}.{part.name.value}")
+                if is_protocol:
+                    declared.add(f"{name}.{part.name.value}")
+    return owner, declared
 
 
 def _mutated(mutation: Any, module: Any) -> str:

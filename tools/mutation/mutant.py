@@ -1,6 +1,9 @@
 """One change of one file, and what became of it."""
 
 import dataclasses
+import re
+from collections.abc import Sequence
+from typing import Final
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,3 +48,12 @@ class Mutant:
     def called(self) -> str:
         """What :mod:`reach` calls its function."""
         return f"{self.path}:{self.function}"
+
+
+_LENGTHS: Final = re.compile(r",\s*(strict=\w+)?\s*\)")
+
+
+def is_about_equal_lengths(lines: Sequence[str]) -> bool:
+    """Whether changed lines differ by nothing but ``strict=`` of a zip, which changes nothing of equal lengths."""
+    before, after = ([_LENGTHS.sub(")", line[2:]) for line in lines if line[0] == sign] for sign in "-+")
+    return before == after

@@ -8,15 +8,19 @@ import pytest
 
 from tests.control.laws.adaptive.test_adaptive_law import Rig, task
 from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
+from twostage_servo.control.laws.adaptive.learning import Learning
 from twostage_servo.control.laws.adaptive.placement import Pair, Poles
 from twostage_servo.control.laws.adaptive.rules import (
     NOISY_POLES,
     QUIET_POLES,
+    LearningRules,
     encoder_poles,
     is_noisy,
     loop_period_s,
     noise_unit,
 )
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.plant import Plant
 
 
 @pytest.mark.parametrize(
@@ -84,3 +88,32 @@ def test_the_effort_is_held_back_until_a_sample_shows_motion_and_no_longer() -> 
         held += 1
     assert 0 < held < 8
     assert abs(rig.sample or 0.0) > 3.0 * rig.law._estimate.spread
+
+
+@pytest.mark.parametrize("velocity", [0.0, 2.4, -2.4])
+def test_a_move_from_rest_begins_with_a_reference_at_rest(velocity: float) -> None:
+    """What the estimate shows of an axis at rest is noise."""
+    law = Rig(task()).ticks(30).law
+    law.control_estimate.velocity = velocity
+    law.set_target(400.0, 100.0)
+    assert (law.course.speed, law.course.direction, law.stage) == (0.0, 1.0, Stage.SPEED)
+    law.set_target(-400.0, 100.0)
+    assert law.course.direction == -1.0
+
+
+def learning(ticks: int, *, surprise: float = 50.0) -> Learning:
+    """Return what has looked at a move for so many ticks, and meets a sample that neither fit expects."""
+    made = Learning(Plant(180.0, 14.0), LearningRules(surprise=surprise), 0.01, 24.0)
+    made.begin(1.0, 0.0, 0.01)
+    for _ in range(ticks):
+        made.update(0.0, 0.0, 0.0)
+    return made
+
+
+@pytest.mark.parametrize(("ticks", "ends"), [(3, False), (4, False), (5, False), (6, True), (9, True)])
+def test_two_surprises_in_a_row_end_identification_from_the_sixth_tick_on(ticks: int, ends: bool) -> None:
+    """The first sample of a move is tick 0; before the sixth a fit goes by its prior most of all."""
+    made = learning(ticks)
+    for position in (8.0, -8.0):
+        made.update(position, 0.0, 0.0)
+    assert made.contradicted is ends

@@ -1,6 +1,7 @@
 """The speed reference of limited jerk: its bounds, where it ends, and how long it takes."""
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from twostage_servo.control.laws.adaptive.design import AdaptiveDesign, design_adaptive
 from twostage_servo.control.laws.adaptive.reference import Braking, Ways
-from twostage_servo.control.laws.adaptive.smoothing import SmoothShape, next_slope
+from twostage_servo.control.laws.adaptive.smoothing import Smoothing, SmoothShape, next_slope
 from twostage_servo.control.laws.law import ControlTask, Stage
 from twostage_servo.control.laws.stop_design import smoothing_distance, smoothing_time_s
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver, NoiseModel, kalman_gain
@@ -282,3 +283,56 @@ def test_a_smooth_stop_goes_no_farther_and_takes_no_longer_than_is_said(
     assert said <= 1.5 * went + 4.0 * velocity * period_s + 0.05 * velocity
     stopping_s = design.stopping_time_s(velocity, acceleration) + smoothing_time_s(velocity, acceleration, jerk)
     assert took_s <= stopping_s + 0.1
+
+
+def smoothing(jerk: float = 10_000.0, rate: float = 1000.0) -> Smoothing:
+    return Smoothing(replace(task(0.01, 2000.0, jerk), effort_rate_limit=rate))
+
+
+@pytest.mark.parametrize(
+    ("speed", "braking", "rate", "expected_s"),
+    [
+        (400.0, False, 1000.0, 0.4),  # 2000²/10000 mm/s: the acceleration reaches its limit, and falls at once
+        (1000.0, False, 1000.0, 0.7),  # 0.5 s at the limit, and 0.2 s for the jerk
+        (100.0, False, 1000.0, 0.2),  # twice the root of v/j
+        (1000.0, True, 1000.0, 0.5 + 2.0 / 9.0),  # nine tenths of the jerk
+        (100.0, True, 1000.0, 2.0 * (100.0 / 9000.0) ** 0.5),
+        (100.0, False, 20.0, 2.0 * (100.0 / 2700.0) ** 0.5),  # three quarters of 20 V/s, times 180 mm/(V s²)
+    ],
+)
+def test_a_change_of_speed_takes_as_long_as_its_s_curve(
+    speed: float, braking: bool, rate: float, expected_s: float
+) -> None:
+    assert smoothing(rate=rate).change_s(speed, 2000.0, braking=braking) == pytest.approx(expected_s)
+
+
+def test_a_move_takes_its_two_changes_of_speed_and_its_cruise() -> None:
+    """Half of each change goes as far as a cruise in that time. Without a cruise ``v (r + b)/2`` is the distance."""
+    rising, braking = 2.0 * (100.0 / 10_000.0) ** 0.5, 2.0 * (100.0 / 9000.0) ** 0.5
+    made = smoothing()
+    assert made.move_s(400.0, 100.0, 2000.0, 2000.0) == pytest.approx(4.0 + 0.5 * (rising + braking))
+    both = 10_000.0**-0.5 + 9000.0**-0.5
+    top = (2.0 / both) ** (2.0 / 3.0)
+    assert top < 100.0
+    assert made.move_s(2.0, 100.0, 2000.0, 2000.0) == pytest.approx(2.0 * top**0.5 * both)
+    # 1500 mm/s²: what braking builds up in 1/6 s, and what the rise of 1000 mm/s² does in 0.1 s
+    assert made.move_s(9000.0, 900.0, 1000.0, 1500.0) == pytest.approx(10.0 + 0.5 * (0.9 + 0.1 + 0.6 + 1.0 / 6.0))
+
+
+@pytest.mark.parametrize(
+    ("speed", "slope", "most", "expected"),
+    [
+        (100.0, 0.0, 2000.0, (9000.0 * 100.0) ** 0.5),  # A² = j v, of nine tenths of the jerk
+        (100.0, 3.0, 2000.0, (9000.0 * (100.0 + 9.0 / 1.8)) ** 0.5),  # the slope runs out 5 mm/s higher
+        (100.0, -3.0, 2000.0, (9000.0 * (100.0 + 9.0 / 1.8)) ** 0.5),
+        (100.0, 0.0, 500.0, 500.0),
+        (0.0, 0.0, 2000.0, 90.0),  # one step in a tick
+        (-10.0, 3.0, 2000.0, (9000.0 * 9.0 / 1.8) ** 0.5),
+    ],
+)
+def test_braking_takes_the_least_time_where_its_square_is_jerk_times_speed(
+    speed: float, slope: float, most: float, expected: float
+) -> None:
+    made = smoothing()
+    assert made.step(180.0) == pytest.approx(1.0)  # 10000 mm/s³ in ticks of 10 ms
+    assert made.deceleration(speed, slope, made.step(180.0), most, 0.01) == pytest.approx(expected)
