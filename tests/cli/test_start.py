@@ -40,3 +40,12 @@ def test_run_loads_no_other_group_of_verbs() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # noqa: S603
     loaded = {name.rpartition(".")[2] for name in done.stdout.split()}
     assert loaded == {"configuration", "extras", "main", "operate", "output", "serve", "typed_names", "typed_numbers"}
+
+
+def test_an_operators_verb_loads_no_cryptography() -> None:
+    """OpenSSL takes a twentieth of the time in which `status` is there."""
+    script = "import sys, twostage_servo.cli.operator_verbs; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)  # noqa: S603
+    loaded = set(done.stdout.split())
+    assert "twostage_servo.client" in loaded
+    assert loaded.isdisjoint({"hashlib", "_hashlib", "secrets", "ssl"})

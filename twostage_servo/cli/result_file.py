@@ -4,7 +4,6 @@ import contextlib
 import csv
 import io
 import os
-import secrets
 import stat
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -78,7 +77,7 @@ def _is_special(path: Path) -> bool:
 
 def _unfinished(path: Path) -> Path:
     file = path.resolve()  # what a symbolic link names, not the link
-    return file.with_name(f".{file.name}.{secrets.token_hex(4)}.unfinished")
+    return file.with_name(f".{file.name}.{os.urandom(4).hex()}.unfinished")
 
 
 def _replace(path: Path, content: bytes) -> None:

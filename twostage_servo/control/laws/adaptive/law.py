@@ -32,11 +32,11 @@ from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.plant import Plant
 
 _SPEED, _POSITION, _BRAKE = Stage.SPEED, Stage.POSITION, Stage.BRAKE
+"""Looked up once, since a look-up of a member costs a measurable part of a step."""
 
 _STANDING_SHARE = 0.5
 """Share of the speed of a move up to which an axis counts as standing. The estimate of an axis at rest shows that much
 where a slow move takes hundreds of ticks for each step of its encoder."""
-"""Looked up once, since a look-up of a member costs a measurable part of a step."""
 
 
 class AdaptiveLaw:
