@@ -28,8 +28,8 @@ _OF_AN_AXIS = ("backlog", "disabled_drive", "encoder_range", "foreign_commands",
 """Tests of an axis with its drive on a bus, which stand beside those of the service."""
 
 _OF_CONTROL = (
-    "adaptive_axis", "design_numbers", "encoder", "encoder_in_doubt", "stops", "stops_of_other_plants",
-    "stops_under_load", "very_slow",
+    "adaptive_axis", "design_numbers", "duration", "encoder", "encoder_in_doubt", "smooth_axis", "stops",
+    "stops_of_other_plants", "stops_under_load", "very_slow",
 )  # fmt: skip
 """Tests of the model's test and of the law with an axis around them."""
 

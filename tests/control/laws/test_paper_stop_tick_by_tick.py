@@ -187,3 +187,24 @@ def test_a_law_that_continues_from_one_that_stops_stops_as_gradually_and_with_th
     efforts = [law.step(None) for _ in range(5)]
     assert [twin.step(None) for _ in range(5)] == efforts
     assert law.speed_reference == twin.speed_reference == pytest.approx(100.0 * 0.75**6)
+
+
+@pytest.mark.parametrize(
+    ("speed", "step"),
+    [
+        (1.0, 0.25),  # a quarter of the speed
+        (13.6, 3.4),  # as far up as such a step is 0.85/0.25 at most: from there on it becomes smaller by 0.85 a tick
+        (17.85, 4.25),  # one that is larger by 0.85 leads there
+        (22.95, 5.1),
+    ],
+)
+def test_a_smooth_stop_plans_its_end_with_most_of_its_jerk(speed: float, step: float) -> None:
+    """On a tick of 10 ms, with steps that may change by 1 in a tick, of which it takes 0.85."""
+    stop = law_at(speed).stop_stage
+    stop.begin(speed)
+    stop.aim(1e9, 0.0, gradual=True, jerk=1e4)
+    for before in (step - 0.9, step, step + 0.9):
+        stop.state.step = before
+        assert stop._smooth_step(speed) == pytest.approx(step)
+    stop.state.step = step + 1.1
+    assert stop._smooth_step(speed) == pytest.approx(min(step + 0.1, speed))
