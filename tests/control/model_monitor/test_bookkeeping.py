@@ -371,3 +371,16 @@ def test_it_is_sure_while_an_accepted_plant_is_surprised_by_no_more_than_what_de
     test = ModelMonitor(PLANT, PERIOD_S, NOISE)
     test.update(sample, 0.0, at_rest(), 0.0)
     assert test.is_sure is is_sure
+
+
+@pytest.mark.parametrize(("surprise", "best"), [(4.0, 1), (0.0, 2)])
+def test_a_sign_that_a_short_window_has_told_is_reckoned_by_that_window(surprise: float, best: int) -> None:
+    """There the second of the three signs explains the samples best, over the whole window the third one."""
+    test = with_changes()
+    for number, observer in enumerate(test._gains):
+        observer.velocity = 110.0 + number
+    test._sums = [0.9, 0.8, 0.1, *[1.0] * 5]
+    watch = test._reversal
+    watch._sums, watch._accepted_sum, watch._still_sum = [0.02, 0.001, 0.03], surprise, 1e9
+    expected = (110.0 + best) / (-OTHER_GAINS[best].plant.gain)
+    assert test.reckon(-1.0).velocity == pytest.approx(expected)

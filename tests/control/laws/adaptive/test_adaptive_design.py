@@ -130,3 +130,19 @@ def test_the_change_over_is_where_a_known_plant_begins_to_brake(velocity: float)
         rig.ticks(1)
     tick, found = velocity * PERIOD_S, design(made).changeover_distance(velocity)
     assert found - tick <= left - tick <= found + tick
+
+
+def test_a_short_move_takes_as_long_as_its_triangle() -> None:
+    """1 mm less a window of 0.1 mm, without an acceleration limit: up with 180 times 24, down with 0.66 of that.
+
+    A cap of 30 mm/s is below the top of that, 55.7 mm/s. To this come half a tick for what braking goes in steps, one
+    for an average over three (15.84 V, of which three quarters of 10 V are a step), and three for settling.
+    """
+    rising, braking = 180.0 * 24.0, 0.66 * 180.0 * 24.0
+    made = design(task(acceleration=1e9))
+    top = (2.0 * 0.9 * rising * braking / (rising + braking)) ** 0.5
+    after = (0.5 + 1.0 + 3.0) * PERIOD_S
+    assert made.move_duration_s(1.0, 200.0, 0.1) == pytest.approx(top / rising + top / braking + after)
+    ramps = 0.5 * 30.0 / rising + 0.5 * 30.0 / braking
+    assert made.move_duration_s(1.0, 30.0, 0.1) == pytest.approx(0.9 / 30.0 + ramps + after)
+    assert made.move_duration_s(0.05, 30.0, 0.1) == pytest.approx(3.0 * PERIOD_S)
