@@ -59,3 +59,13 @@ def test_a_limit_never_makes_a_move_quicker(distance: float, velocity: float, ac
     assert 0.0 <= free.bound_s <= held.bound_s + 1e-9
     slower = Capability(1800.0, 1800.0, 14.0).quickest_move(distance, 0.9 * velocity, 0.005)
     assert free.bound_s <= slower.bound_s + 1e-9
+
+
+@pytest.mark.parametrize("length", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("distance", [0.3, 20.0])
+def test_the_same_move_in_another_unit_takes_as_long(distance: float, length: float) -> None:
+    """Also one whose top speed is below 1 of the unit, and whose last part is."""
+    able = Capability(1700.0, 1900.0, 14.0, 1500.0)
+    other = Capability(1700.0 * length, 1900.0 * length, 14.0, 1500.0 * length)
+    same = other.quickest_move(distance * length, 60.0 * length, 0.1 * length)
+    assert same == pytest.approx(able.quickest_move(distance, 60.0, 0.1))

@@ -36,6 +36,7 @@ def test_what_comes_back_is_what_was_there() -> None:
     assert law.learned == learned
     assert (learned.moves, learned.delay_ticks, learned.is_sure) == (2, 1, True)
     assert None not in learned.load
+    assert -200.0 <= learned.delay_evidence < -6.0  # two moves have shown a later effort, each by 3 at least
 
 
 def test_the_next_move_is_that_of_the_law_that_has_learned() -> None:

@@ -117,3 +117,20 @@ def test_two_surprises_in_a_row_end_identification_from_the_sixth_tick_on(ticks:
     for position in (8.0, -8.0):
         made.update(position, 0.0, 0.0)
     assert made.contradicted is ends
+
+
+@pytest.mark.parametrize(
+    ("rules", "moves", "gap", "knows"),
+    [
+        (LearningRules(), 0, 2.9, False),
+        (LearningRules(), 0, 3.0, True),
+        (LearningRules(), 1, 0.0, True),  # former moves have shown it
+        (LearningRules(finds_delay=False), 0, 0.0, True),  # there is none to know
+    ],
+)
+def test_the_delay_is_known_by_a_gap_or_by_former_moves(
+    rules: LearningRules, moves: int, gap: float, knows: bool
+) -> None:
+    made = Learning(Plant(180.0, 14.0), rules, 0.01, 24.0)
+    made.moves = moves
+    assert made._knows_delay(gap) is knows
