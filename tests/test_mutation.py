@@ -307,6 +307,8 @@ def test_the_tests_that_bear_the_name_go_first_then_the_quickest_as_long_as_ther
     took_s["t/test_loop.py::e"] = 9.0
     importing = Reach(took_s, calls, frozenset(), {"t/test_x.py": ["service.loop"]})
     assert importing.chosen("service/loop.py", "f", 100.0) == ["t/test_loop.py::e", other, slow, named]
+    constant = importing.chosen("service/loop.py", "", 100.0)  # those that import it as well: they may read it
+    assert constant == ["t/test_loop.py::e", other, quick, slow, named]
     assert reach.chosen("service/authority.py", "", 100.0) == [
         named,
         quick,

@@ -70,6 +70,9 @@ def test_each_loop_is_drawn_with_its_margin_and_its_step(loops: dict[str, LoopAn
         assert line(step, index) == (list(times), list(answer))
         assert step.lines[index].get_label() == f"{name}: {loop.law.follows}"
     assert line(step, len(following))[1] == [1.0, 1.0]
+    assert step.lines[len(following)].get_color() == "black"
+    assert [nyquist.get_xlabel(), nyquist.get_ylabel()] == ["real part of the loop gain", "imaginary part"]
+    assert [step.get_xlabel(), step.get_ylabel()] == ["time (s)", "answer to a unit step, without limits"]
 
 
 def test_where_nothing_follows_there_is_no_step(loops: dict[str, LoopAnalysis]) -> None:

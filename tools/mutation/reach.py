@@ -138,8 +138,8 @@ class Reach:
         """Return the tests to run for a mutant, in their order, as many as take `most_s` together, but one at least.
 
         First come those of files that bear the module's name, then of those that import it, then the quickest. Outside
-        functions, and for a function that no test calls in its own process, all count that call anything in the file or
-        bear its name.
+        functions, and for a function that no test calls in its own process, all count that call anything in the file,
+        and those of files that import it or bear its name: a constant is read, and not called.
         """
         stem, module = Path(path).stem, path.removesuffix(".py").replace("/", ".")
 
@@ -152,7 +152,7 @@ class Reach:
         tests = set(self.tests.get(f"{path}:{function}", ()))
         if not tests:
             tests = {test for key, found in self.tests.items() if key.startswith(path + ":") for test in found}
-            tests |= set(filter(is_named, self.took_s))
+            tests |= {test for test in self.took_s if distance(test) < 2}
         ordered = sorted(tests, key=lambda test: (distance(test), self.took_s[test], test))
         spent_s, chosen = 0.0, list[str]()
         for test in ordered:

@@ -222,3 +222,14 @@ def test_a_reference_that_slows_down_comes_to_rest_just_at_its_set_point(target:
             assert way == pytest.approx(left)
             slowed += 1
     assert slowed or abs(target) < 1.0
+
+
+@pytest.mark.parametrize(("to_go", "speed", "arrives"), [(0.99, 0.0, True), (1.01, 0.0, False), (0.99, 1.01, False)])
+def test_a_reference_arrives_where_half_a_tick_of_a_step_is_left(to_go: float, speed: float, arrives: bool) -> None:
+    """In units of 0.1 mm, that is ``a T²/2``, and of a step of 20 mm/s."""
+    law = Run().law
+    law.set_target(0.1 * to_go, 100.0)
+    law.speed_reference = 20.0 * speed
+    law.step(None)
+    assert (law.stage is Stage.POSITION) is arrives
+    assert law.reference == pytest.approx(0.1 * to_go) or not arrives

@@ -6,7 +6,7 @@ import pytest
 
 from tests.control.model_monitor.test_monitor import PLANT
 from twostage_servo.control.model_monitor.monitor import ModelMonitor
-from twostage_servo.control.model_monitor.surprise import Surprise
+from twostage_servo.control.model_monitor.surprise import _MADE_GOOD, Surprise
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, kalman_gain
 
 HALF_KEPT = 0.5
@@ -66,6 +66,20 @@ def test_the_model_goes_on_from_where_it_would_be_without_the_late_sample() -> N
     assert (spare.position, spare.velocity, spare.disturbance) == pytest.approx(
         (expected.position, expected.velocity, expected.disturbance)
     )
+
+
+@pytest.mark.parametrize("least_square", [0.04, 1.0, 4.0])
+@pytest.mark.parametrize(("share", "goes_on"), [(0.9, False), (1.1, True)])
+def test_the_model_without_the_late_sample_is_kept_until_the_other_one_has_made_good(
+    share: float, goes_on: bool, least_square: float
+) -> None:
+    """That is where it surprises by no more than a share of what decides, however much that is."""
+    window = Window()
+    window.window.update(9.0 * least_square, 0.0, 0.0, 0.0, least_square)
+    square = share * _MADE_GOOD * _MADE_GOOD * least_square
+    window.window.update(square, window.spare.position, 0.0, 0.0, least_square)
+    window.window.predict(6.0)
+    assert (window.spare.velocity != 0.0) is goes_on
 
 
 def test_a_missing_sample_and_another_origin_take_the_model_without_the_late_one_along() -> None:
