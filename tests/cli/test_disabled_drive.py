@@ -124,8 +124,18 @@ def test_somebody_elses_commands_to_a_disarmed_axis_are_told_and_end_each_comman
 def test_disarm_does_not_take_the_silence_of_a_drive_that_was_enabled_for_an_answer(
     monkeypatch: pytest.MonkeyPatch, snapshots: Snapshots
 ) -> None:
-    assert snapshots["silent"]["drive"] == {"enabled": True, "disabling": False, "moved": None, "lasting": []}
+    drive = snapshots["silent"]["drive"]
+    assert (drive["enabled"], drive["disabling"], drive["moved"]) == (True, False, None)
     assert run(monkeypatch, "disarm", snapshots["silent"])[0] == 3
+
+
+def test_status_says_that_nobody_knows_whether_a_silent_drive_is_off(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], snapshots: Snapshots
+) -> None:
+    assert run(monkeypatch, "status", snapshots["silent"])[0] == 3
+    out = capsys.readouterr().out
+    assert "\nlasts stale_feedback: the drive was told to disable" in out
+    assert "nobody knows whether it is off" in out
 
 
 def test_disarm_of_an_axis_that_has_tripped_is_done_when_its_drive_is_off(

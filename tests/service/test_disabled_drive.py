@@ -232,6 +232,54 @@ def test_it_is_told_after_the_bus_has_come_back() -> None:
     simulate(script)
 
 
+@pytest.mark.parametrize("bus_ends", [False, True])
+def test_a_drive_that_falls_silent_while_it_is_enabled_is_told_until_it_reports_that_it_is_off(bus_ends: bool) -> None:
+    """`reset` clears the trip, and must not hide that nobody knows whether the drive is off."""
+
+    async def script(world: World) -> None:
+        with structlog.testing.capture_logs() as logs:
+            await world.cruising(velocity=20.0)
+            world.wire.disturb(lambda sender, message, _: [] if sender == "drive" else [(0.0, message)])
+            if bus_ends:
+                world.wire.node("service").fail_to_receive(OSError(100, "Network is down"))
+            await world.until(lambda: world.state() is State.TRIPPED)
+            await world.seconds(1.0)
+            ask(world, op="reset")
+            await world.seconds(21.0)
+            told = ask(world, op="status")
+            assert (told["axis"]["state"], told["trip"]) == ("disarmed", None)
+            (one,) = told["drive"]["lasting"]
+            assert one["code"] == "stale_feedback"
+            assert (
+                "the last that it has reported is that it is enabled, and nobody knows whether it is off"
+                in one["cause"]
+            )
+            assert "look at it" in one["cause"]
+            assert "nobody knows whether it is off" in world.line()
+            repeated = [log for log in logs if log["event"] == "a condition lasts that has not tripped the axis"]
+            assert [log["code"] for log in repeated] == ["stale_feedback"] * len(repeated)
+            assert len(repeated) >= 2
+            world.wire.restore()
+            world.wire.node("service").fail_to_receive(None)
+            await world.until(lambda: not ask(world, op="status")["drive"]["lasting"])
+            assert ask(world, op="status")["drive"]["enabled"] is False
+
+    simulate(script)
+
+
+@pytest.mark.parametrize("overrides", [(), (NO_ENABLED_BIT, *NO_HEARTBEAT)], ids=str)
+def test_a_drive_that_falls_silent_while_it_is_disabled_is_not(overrides: tuple[str, ...]) -> None:
+    """Nor is one that never tells: of that nobody ever knows more."""
+
+    async def script(world: World) -> None:
+        await world.until(lambda: world.axis.ready_to_arm)
+        world.wire.disturb(lambda sender, message, _: [] if sender == "drive" else [(0.0, message)])
+        await world.seconds(3.0)
+        assert ask(world, op="status")["drive"]["lasting"] == []
+
+    simulate(script, *overrides)
+
+
 def test_what_is_known_outlives_the_bus() -> None:
     async def script(world: World) -> None:
         await stuck_after_disarm(world)

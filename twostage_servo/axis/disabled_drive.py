@@ -268,6 +268,18 @@ class DisabledDriveWatch:
         return bool(self.known.reported and self.known.ticks_silent < self._silence_allowed and not self.not_disabled)
 
     @property
+    def silent_while_enabled(self) -> bool:
+        """Whether nobody knows if the drive is off: enabled by its last report, told to disable, and silent since."""
+        known = self.known
+        is_silent = known.ticks_told is not None and known.ticks_silent >= self._silence_allowed
+        return bool(is_silent and known.reported)
+
+    @property
+    def silent_ms(self) -> float:
+        """How long it has said nothing, in ms, as far as it has been told to disable."""
+        return 1e3 * self._period_s * self.known.ticks_silent
+
+    @property
     def seen_enabled(self) -> bool:
         """Whether the last that the drive has said is that it is enabled, however long ago."""
         return bool(self.known.reported)

@@ -49,8 +49,14 @@ class Hazards:
         return tuple(found)
 
     def lasting(self, tick: int) -> tuple[Trip, ...]:
-        """Return all that is wrong: somebody else's commands also to a drive that is seen to be disabled."""
+        """Return all that is wrong.
+
+        Beside what is present that is a drive that has fallen silent before it reported that it is off, and somebody
+        else's commands also to a drive that is seen to be disabled.
+        """
         found = self.present(tick)
+        if self._disabled.silent_while_enabled:
+            found = (*found, Trip(TripCode.STALE_FEEDBACK, self._silent_text(), tick))
         if self._drive.foreign.lasts and all(one.code is not TripCode.FOREIGN_COMMAND for one in found):
             found = (*found, Trip(TripCode.FOREIGN_COMMAND, self.foreign_text(), tick))
         return found
@@ -76,4 +82,12 @@ class Hazards:
         return (
             f"the drive was told to disable {watch.told_ms:g} ms ago, and has since reported for {watch.enabled_ms:g} "
             f"ms that it is enabled{moved}{told_by}; axis.arming_timeout_ms is {self._settings.arming_timeout_ms:g}"
+        )
+
+    def _silent_text(self) -> str:
+        watch = self._disabled
+        return (
+            f"the drive was told to disable {watch.told_ms:g} ms ago, and has been silent for {watch.silent_ms:g} ms: "
+            "the last that it has reported is that it is enabled, and nobody knows whether it is off. Its own command "
+            "time-out should have stopped the axis: look at it"
         )

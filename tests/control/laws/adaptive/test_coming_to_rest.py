@@ -121,3 +121,13 @@ def test_a_quiet_encoder_needs_no_such_step() -> None:
         moves.worst_error_at_rest(target)
     before = moves.move(300.0)
     assert moves.law.control_estimate.disturbance == pytest.approx(before, abs=0.1)
+
+
+def test_a_motion_that_nothing_has_been_found_of_ends_as_it_is_however_often() -> None:
+    """As the first one of a law, and a second set-point in the same motion, which begins no move from rest."""
+    estimate = design(task(), 1.0).build(DisturbanceObserver(task().sampled, task().kalman.predictor)).control_estimate
+    estimate.observer.disturbance = 0.7
+    for _ in range(3):
+        estimate.come_to_rest(1.0)
+        assert estimate.observer.disturbance == 0.7
+        assert estimate.disturbance == pytest.approx(0.7)
