@@ -114,8 +114,8 @@ RULES: dict[TripCode, TripRule] = {
     ),
     TripCode.POSITION_JUMP: TripRule(
         _QUICK,
-        "Check encoder and coupling, and whether the axis has hit something or a load pulls it; then `reset`, `arm` and "
-        "`home`: the position is no longer known.",
+        "Check encoder and coupling, and whether the axis has hit something or a load pulls it; then `reset`, `arm` "
+        "and `home`: the position is no longer known.",
         blind=True,
         position_in_doubt="the encoder may have lost or gained counts",
     ),
