@@ -160,21 +160,21 @@ def test_neither_requests_nor_connections_shut_the_others_out() -> None:
             rig.ask(name, 1e-3, Priority.CONNECTION)
         await asyncio.sleep(0)
         await rig.tick(rig.loop.time() + PERIOD_S)
-        assert rig.names == "CDabcdEFGefg"
+        assert rig.names == "CDabcdEFGHIefg"
 
     on_host(script)
 
 
 def test_who_reads_and_who_is_let_in_leave_each_other_and_the_requests_their_part() -> None:
     async def script(rig: BackgroundRig) -> None:
-        for _ in range(8):
+        for _ in range(12):
             rig.ask("C", 0.5e-3, Priority.CONNECTION)
             rig.ask("R", 0.5e-3, Priority.READING)
             rig.ask("a", 0.5e-3)
             rig.ask("w", 0.5e-3, Priority.WATCHING)
         await asyncio.sleep(0)
         await rig.tick(rig.loop.time() + PERIOD_S)
-        assert rig.names == "CCCCCCRRaaaaw"
+        assert rig.names == "CCCCCCCCCRRaaaaw"
 
     on_host(script)
 
@@ -215,7 +215,7 @@ def test_connections_take_no_more_than_their_share() -> None:
         await asyncio.sleep(0)
         await rig.tick(rig.loop.time() + PERIOD_S)
 
-    assert on_host(script).names == "ABC"
+    assert on_host(script).names == "ABCDE"
 
 
 def test_a_turn_that_is_given_to_one_who_has_gone_is_passed_on() -> None:
