@@ -15,6 +15,7 @@ from tests.control.baselines.rig import MODEL, PERIOD_S, SAMPLED
 from twostage_servo.control.baselines.active_disturbance_rejection import ACTIVE_DISTURBANCE_REJECTION
 from twostage_servo.control.baselines.composite_nonlinear import COMPOSITE_NONLINEAR
 from twostage_servo.control.baselines.initial_value import INITIAL_VALUE, InitialValueServo, sum_gains
+from twostage_servo.control.baselines.profile_pid import PROFILE_PID
 from twostage_servo.control.baselines.proximate_time_optimal import PROXIMATE_TIME_OPTIMAL, ProximateTimeOptimalServo
 from twostage_servo.control.baselines.state_feedback import Pair, feedback_gains, observer_gain
 from twostage_servo.control.baselines.trapezoid import Trapezoid
@@ -251,3 +252,14 @@ def test_adrc_places_the_poles_of_its_bandwidths() -> None:
     observer = np.array(told.a) - effort @ np.array(told.c)
     assert_poles(observer, [exp(-values["observer_bandwidth"] * PERIOD_S)] * 3)
     assert observer == pytest.approx(state - np.array(told.b) @ np.array([[1.0, 0.0, 0.0]]))
+
+
+def test_the_gains_of_a_pid_are_measured_by_three_poles() -> None:
+    """``(s + w)³ = s³ + 3 w s² + 3 w² s + w³``: at w = 9 rad/s and b = 180, and each a multiple of that."""
+    values = {**PROFILE_PID.start(), "frequency": 9.0, "proportional": 2.0, "integral": 0.5, "derivative": 3.0}
+    told = PROFILE_PID.build(task_of(), values).controller()
+    keeps = exp(-PERIOD_S / 0.01)
+    assert told.c[0] == pytest.approx((-2.0 * 3.0 * 81.0 / 180.0, 1.0, 1.0))
+    assert told.b[1][0] == pytest.approx(-0.5 * 729.0 / 180.0 * PERIOD_S)
+    assert told.a[2][0] == pytest.approx(3.0 * 3.0 * 9.0 / 180.0 / PERIOD_S * (1.0 - keeps))
+    assert told.a[2][2] == pytest.approx(keeps)

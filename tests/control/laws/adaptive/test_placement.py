@@ -68,6 +68,16 @@ def test_poles_to_a_power_are_the_powers_of_the_poles(pair: Pair, exponent: floa
     assert found == pytest.approx(powers, abs=1e-9)
 
 
+@pytest.mark.parametrize("exponent", [0.4, 0.75, 1.0])
+@pytest.mark.parametrize(("larger", "smaller"), [(0.7, 0.3), (0.9, 0.05), (0.5, 0.01), (0.5, -0.2)])
+def test_real_poles_to_a_power_are_real(larger: float, smaller: float, exponent: float) -> None:
+    """One below 0.02, or below 0, counts as 0.02."""
+    pair = Pair(0.5 * (larger + smaller), -0.25 * (larger - smaller) ** 2).slower(exponent)
+    half = (-pair.square) ** 0.5
+    assert pair.real + half == pytest.approx(larger**exponent)
+    assert pair.real - half == pytest.approx(max(smaller, 0.02) ** exponent)
+
+
 # Kalman filters that have these poles ---------------------------------------------------------------------------------
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from tests.control.laws.adaptive.test_adaptive_law import Rig, task
+from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
 from twostage_servo.control.laws.adaptive.learning import Learning
 from twostage_servo.control.laws.adaptive.placement import Pair, Poles
@@ -134,3 +135,11 @@ def test_the_delay_is_known_by_a_gap_or_by_former_moves(
     made = Learning(Plant(180.0, 14.0), rules, 0.01, 24.0)
     made.moves = moves
     assert made._knows_delay(gap) is knows
+
+
+def test_a_course_counts_from_another_origin_with_all_that_it_has() -> None:
+    course = Course(400.0, 30.0, speed=7.0)
+    course.shift(-5.0)
+    assert (course.target, course.position, course.speed) == (395.0, 25.0, 7.0)
+    copied = course.copied_to(26.0)
+    assert (copied.target, copied.position, copied.speed, course.position) == (395.0, 26.0, 7.0, 25.0)
