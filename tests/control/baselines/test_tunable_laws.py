@@ -263,3 +263,28 @@ def test_the_gains_of_a_pid_are_measured_by_three_poles() -> None:
     assert told.b[1][0] == pytest.approx(-0.5 * 729.0 / 180.0 * PERIOD_S)
     assert told.a[2][0] == pytest.approx(3.0 * 3.0 * 9.0 / 180.0 / PERIOD_S * (1.0 - keeps))
     assert told.a[2][2] == pytest.approx(keeps)
+
+
+@pytest.mark.parametrize("frequency", [20.0, 50.0])
+def test_ptos_has_its_frequency_where_it_is_linear(frequency: float) -> None:
+    """``u = k1 e - (k2 - a/b) v`` gives ``s² + b k2 s + b k1``: w² is b k1, and its damping is 1/sqrt(2 alpha)."""
+    values = {**PROXIMATE_TIME_OPTIMAL.start(), "frequency": frequency, "effort_share": 0.8}
+    f1, f2, _ = linear_gains(PROXIMATE_TIME_OPTIMAL.build(task_of(), values))
+    gain, pole = MODEL.gain, MODEL.pole
+    natural = np.roots([1.0, pole + gain * f2, gain * f1])
+    assert np.abs(np.prod(natural)) == pytest.approx(frequency**2)
+    assert -np.sum(natural).real / (2.0 * frequency) == pytest.approx((2.0 * 0.8) ** -0.5)
+
+
+def linear_gains(law: TunableLaw) -> tuple[float, float, float]:
+    """Return f1, f2 and f3 of ``u = -f1 x1 - f2 x2 - f3 x3`` near the set-point."""
+    f1, f2, f3 = (-gain for gain in law.controller().c[0])
+    return f1, f2, f3
+
+
+def test_adrc_has_a_double_pole_at_the_bandwidth_of_its_feedback() -> None:
+    """On a plant that is a double integrator with gain b0: ``s² + 2 w s + w²``; 1 for its disturbance."""
+    values = {**ACTIVE_DISTURBANCE_REJECTION.start(), "feedback_bandwidth": 25.0, "gain_share": 1.5}
+    f1, f2, f3 = linear_gains(ACTIVE_DISTURBANCE_REJECTION.build(task_of(), values))
+    b0 = 1.5 * MODEL.gain
+    assert (b0 * f1, b0 * f2, b0 * f3) == pytest.approx((625.0, 50.0, 1.0))

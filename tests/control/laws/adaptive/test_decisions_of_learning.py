@@ -1,0 +1,105 @@
+"""When what a move has shown is kept, and what is known then, case by case."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tests.control.laws.adaptive.test_adaptive_law import Rig, task
+from twostage_servo.control.laws.adaptive.departure import Departure
+from twostage_servo.control.laws.adaptive.learning import Learning
+from twostage_servo.control.laws.adaptive.rules import LearningRules
+from twostage_servo.control.laws.law import Stage
+from twostage_servo.control.laws.rejection import Rejection, RejectionCode
+from twostage_servo.control.plant import Plant
+
+CONFIGURED = Plant(180.0, 14.0)
+OUT_OF_BOUNDS = Rejection(RejectionCode.GAIN_OUT_OF_BOUNDS, "for a test", degrades=True)
+
+
+def under_way(*, ticks: int, gain_share: float, gain: float = 200.0) -> Learning:
+    """Return what has looked at a move for so many ticks, and has found a gain to a share of it."""
+    made = Learning(CONFIGURED, LearningRules(), 0.01, 24.0)
+    made.begin(1.0, 0.0, 0.01)
+    fit: Any = SimpleNamespace(
+        samples=ticks, gain=gain, pole=14.0, load=0.4, gain_share=gain_share, pole_share=0.02, misfit=0.0, evidence=0.0,
+        surprise=0.0, residual=0.0, freedom=1,
+    )  # fmt: skip
+    late: Any = SimpleNamespace(**{**vars(fit), "evidence": 50.0})
+    made._fits, made._later, made._ticks = (fit, late), late, ticks
+    return made
+
+
+@pytest.mark.parametrize(
+    ("ticks", "gain_share", "gain", "goes_on"),
+    [
+        (10, 0.059, 200.0, True),
+        (9, 0.059, 200.0, False),  # too early
+        (10, 0.061, 200.0, False),  # not known well enough
+        (10, 0.02, 1000.0, False),  # a gain that no plant has
+    ],
+)
+def test_a_move_that_is_given_up_goes_on_with_its_model_only_if_that_is_known_well(
+    ticks: int, gain_share: float, gain: float, goes_on: bool
+) -> None:
+    made = under_way(ticks=ticks, gain_share=gain_share, gain=gain)
+    assert made.give_up() is goes_on
+    assert not made.active
+    assert (made.believed, made.moves, made.loads) == (CONFIGURED, 0, {})
+    assert (made.trust.rejection is not None) is (gain > 300.0)
+
+
+@pytest.mark.parametrize(
+    ("ticks", "gain_share", "believed", "known"),
+    [(4, 0.02, False, False), (5, 0.02, True, True), (30, 0.079, True, True), (30, 0.081, True, False)],
+)
+def test_a_move_that_ends_is_believed_from_five_ticks_on_and_known_from_eight_hundredths(
+    ticks: int, gain_share: float, believed: bool, known: bool
+) -> None:
+    made = under_way(ticks=ticks, gain_share=gain_share)
+    assert made.finish() is believed
+    assert made.is_known is known
+    assert (made.identified is not None) is known
+    assert made.moves == int(believed)
+    assert (made.believed.gain, made.loads) == ((200.0, {1.0: 0.4}) if believed else (180.0, {}))
+
+
+def test_what_is_known_counts_no_more_once_a_move_has_spoken_against_it() -> None:
+    made = under_way(ticks=30, gain_share=0.02)
+    made.finish()
+    assert made.is_known
+    made.trust.reject(OUT_OF_BOUNDS, 5, watched=False)
+    assert not made.is_known
+    assert made.identified is None
+
+
+@pytest.mark.parametrize(("velocity", "speed"), [(30.0, 30.0), (0.4, 0.4), (-20.0, 0.0)])
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_a_move_that_leaves_an_obstacle_goes_on_at_the_speed_that_it_has_then(
+    direction: float, velocity: float, speed: float
+) -> None:
+    model = SimpleNamespace(plant=CONFIGURED)
+    estimate: Any = SimpleNamespace(position=0.0, velocity=direction * velocity, spread=0.1, model=model)
+    departure = Departure(estimate, 0.01)
+    departure.set_out(5.0, leaves_obstacle=True)
+    course: Any = SimpleNamespace(direction=direction, speed=0.0)
+    assert departure.release(course, 5.0 + direction * 0.29, direction * -24.0, 24.0) == pytest.approx(
+        direction * (-24.0 + 0.48)
+    )
+    assert departure.leaves_obstacle
+    departure.release(course, 5.0 + direction * 0.31, 0.0, 24.0)
+    assert not departure.leaves_obstacle
+    assert course.speed == speed
+
+
+def test_a_stop_that_is_over_leaves_the_velocity_of_its_move() -> None:
+    """It is what the status shows, and what the next move begins with where it names none."""
+    law = Rig(task()).ticks(30).law
+    law.set_target(400.0, 90.0)
+    for _ in range(40):
+        law.step(None)
+    law.stop(2000.0)
+    while law.stage is Stage.BRAKE:
+        law.step(None)
+    assert law.cruise_velocity == 90.0
+    assert law.target == law.course.position
