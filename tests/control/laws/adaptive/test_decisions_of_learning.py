@@ -65,12 +65,12 @@ def test_a_move_that_ends_is_believed_from_five_ticks_on_and_known_from_eight_hu
 
 
 def test_what_is_known_counts_no_more_once_a_move_has_spoken_against_it() -> None:
-    made = under_way(ticks=30, gain_share=0.02)
+    made, known = under_way(ticks=30, gain_share=0.02), []
     made.finish()
-    assert made.is_known
+    known.append((made.is_known, made.identified))
     made.trust.reject(OUT_OF_BOUNDS, 5, watched=False)
-    assert not made.is_known
-    assert made.identified is None
+    known.append((made.is_known, made.identified))
+    assert known == [(True, made.believed), (False, None)]
 
 
 @pytest.mark.parametrize(("velocity", "speed"), [(30.0, 30.0), (0.4, 0.4), (-20.0, 0.0)])
@@ -86,10 +86,10 @@ def test_a_move_that_leaves_an_obstacle_goes_on_at_the_speed_that_it_has_then(
     assert departure.release(course, 5.0 + direction * 0.29, direction * -24.0, 24.0) == pytest.approx(
         direction * (-24.0 + 0.48)
     )
-    assert departure.leaves_obstacle
+    leaves = [departure.leaves_obstacle]
     departure.release(course, 5.0 + direction * 0.31, 0.0, 24.0)
-    assert not departure.leaves_obstacle
-    assert course.speed == speed
+    leaves.append(departure.leaves_obstacle)
+    assert (leaves, course.speed) == ([True, False], speed)
 
 
 def test_a_stop_that_is_over_leaves_the_velocity_of_its_move() -> None:
