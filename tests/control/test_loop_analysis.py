@@ -91,3 +91,12 @@ def test_a_load_moves_an_unstable_loop_for_ever() -> None:
     assert controller is not None
     turned = replace(controller, c=tuple(tuple(-gain for gain in row) for row in controller.c))
     assert LoopAnalysis(made.plant, turned).load_step_peak() == float("inf")
+
+
+def test_a_loop_whose_gain_never_passes_one_has_no_limit_of_phase_or_delay() -> None:
+    """An axis that is read, and not driven: the feedback is a millionth, and its plant has a constant place."""
+    plant = DiscretePlant(0.01, 0.0, 0.5, 0.0, 1e-6)
+    still = Controller(((0.5,),), ((1.0,),), ((-1e-6,),))
+    margins = LoopAnalysis(plant, still).margins()
+    assert margins.delay_margin_s == margins.phase_margin_deg == float("inf")
+    assert margins.modulus_margin == pytest.approx(1.0, abs=1e-3)

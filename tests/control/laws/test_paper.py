@@ -365,6 +365,19 @@ def test_a_law_that_continues_from_another_gives_the_same_efforts() -> None:
     assert [step(400.0 - n) for n in range(300)] == [run.law.step(400.0 - n) for n in range(300)]
 
 
+def test_a_law_that_continues_from_one_that_has_to_come_to_rest_first_does_so() -> None:
+    """At 100 mm/s it is asked for a place 1 mm ahead: it brakes, and turns round."""
+    run = Run(make_law())
+    run.law.set_target(400.0, 100.0)
+    run.seconds(2.0)
+    run.law.set_target(run.law.observer.position + 1.0, 100.0)
+    twin = make_law()
+    twin.continue_from(run.law)
+    assert twin.course() == run.law.course()
+    assert twin.course().braking is True
+    assert [twin.step(None) for _ in range(200)] == [run.law.step(None) for _ in range(200)]
+
+
 @pytest.mark.parametrize("period_s", [0.001, 0.002, 0.005, 0.01])
 def test_a_stop_ends_by_a_quarter_of_its_speed_in_10_ms_on_shorter_ticks_as_well(period_s: float) -> None:
     """By a quarter in each tick of 2 ms a healthy plant was reversed by 19 % of its speed."""
