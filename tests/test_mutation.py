@@ -66,6 +66,7 @@ def test_a_share_that_is_none_is_refused(text: str) -> None:
             False,
         ),
         ("for a, b in zip(c, d, strict=True):", "for a, b in zip(c, None, strict=True):", False),
+        ("a = load(b, strict=True)", "a = load(b, strict=False)", False),
         ("a = b", "a = None", False),
     ],
 )

@@ -20,6 +20,11 @@ TIME_OUT_S = 0.5
 """axis.arming_timeout_ms of the demo."""
 COASTING = 100.0 / 14.0
 NO_ENABLED_BIT = "protocol.feedback.enabled=false"
+SLOW_TICK = (
+    "service.tick_ms=20",
+    "axis.law.performance_index_ratio=2e-4",
+    "axis.limits.stale_feedback_ms=60",
+)
 NO_HEARTBEAT = (
     "protocol.heartbeat.message=false", "protocol.heartbeat.state=false", "protocol.heartbeat.boot_counter=false",
 )  # fmt: skip
@@ -233,7 +238,10 @@ def test_it_is_told_after_the_bus_has_come_back() -> None:
 
 
 @pytest.mark.parametrize("bus_ends", [False, True])
-def test_a_drive_that_falls_silent_while_it_is_enabled_is_told_until_it_reports_that_it_is_off(bus_ends: bool) -> None:
+@pytest.mark.parametrize("overrides", [(), SLOW_TICK], ids=["10 ms", "20 ms"])
+def test_a_drive_that_falls_silent_while_it_is_enabled_is_told_until_it_reports_that_it_is_off(
+    bus_ends: bool, overrides: tuple[str, ...]
+) -> None:
     """`reset` clears the trip, and must not hide that nobody knows whether the drive is off."""
 
     async def script(world: World) -> None:
@@ -264,7 +272,7 @@ def test_a_drive_that_falls_silent_while_it_is_enabled_is_told_until_it_reports_
             await world.until(lambda: not ask(world, op="status")["drive"]["lasting"])
             assert ask(world, op="status")["drive"]["enabled"] is False
 
-    simulate(script)
+    simulate(script, *overrides)
 
 
 @pytest.mark.parametrize("overrides", [(), (NO_ENABLED_BIT, *NO_HEARTBEAT)], ids=str)

@@ -50,10 +50,10 @@ class Mutant:
         return f"{self.path}:{self.function}"
 
 
-_LENGTHS: Final = re.compile(r",\s*(strict=\w+)?\s*\)")
+_LENGTHS: Final = re.compile(r"(zip\([^()]*),\s*(strict=\w+)?\s*\)")
 
 
 def is_about_equal_lengths(lines: Sequence[str]) -> bool:
     """Whether changed lines differ by nothing but ``strict=`` of a zip, which changes nothing of equal lengths."""
-    before, after = ([_LENGTHS.sub(")", line[2:]) for line in lines if line[0] == sign] for sign in "-+")
+    before, after = ([_LENGTHS.sub(r"\1)", line[2:]) for line in lines if line[0] == sign] for sign in "-+")
     return before == after

@@ -21,7 +21,7 @@ The mutants are mutmut's (3.8), because it imports the tests once and forks for 
 where cosmic-ray needs a process with numpy and scipy for each, two seconds before the first test. What mutmut leaves
 out is added, see :mod:`engine`: properties, constants and defaults outside functions, negated conditions. Texts are
 left out: docstrings, strings, f-strings and what a ``raise`` says. So numbers, signs, operators, comparisons,
-conditions and arguments count.
+conditions and arguments count; but for ``strict=`` of a zip, and what a protocol declares.
 
 What mutmut leaves out and nothing adds: functions under a decorator other than ``property``, ``staticmethod`` and
 ``classmethod``. In `control` and `axis` these are the three validators of ``axis/settings.py``, whose comparisons

@@ -196,7 +196,8 @@ class Axis:
     def lasting(self) -> tuple[Trip, ...]:
         """What is wrong with the drive at this moment, with its present numbers.
 
-        All of it trips but somebody else's commands to a drive that is seen to be disabled.
+        All of it trips but somebody else's commands to a drive that is seen to be disabled, and a drive that has
+        fallen silent before it reported that it is off.
         """
         return self._hazards.lasting(self._latch.tick)
 

@@ -272,7 +272,7 @@ class DisabledDriveWatch:
         """Whether nobody knows if the drive is off: enabled by its last report, told to disable, and silent since."""
         known = self.known
         is_silent = known.ticks_told is not None and known.ticks_silent >= self._silence_allowed
-        return bool(is_silent and known.reported)
+        return is_silent and self.seen_enabled
 
     @property
     def silent_ms(self) -> float:

@@ -297,7 +297,7 @@ def _finish(options: argparse.Namespace, status: Status, *, moved: bool = False,
     if options.verb == "arm" and any(one.axis.state is not State.HOLDING for one in reports):
         return ExitCode.FAILED
     unseen = [one for one in reports if disabled and one.axis.state not in ENABLED and unheard_of(one)]
-    for one in () if options.json else unseen:
+    for one in () if options.json else [one for one in unseen if not one.drive.lasting]:  # which says it already
         print_line(
             f"{one.axis.name}: nobody knows whether the drive is off; its own command time-out should have "
             "stopped it. Look at the axis, and check `status` when the drive responds again"

@@ -94,8 +94,8 @@ class LoopAnalysis:
             gain_reduction_margin=float(max((gain for gain in gains if gain < 1.0), default=0.0)),
             phase_margin_deg=float(min(abs(phases), default=np.inf)),
             delay_margin_s=float(min(delays, default=np.inf)),
-            # Where it is smallest at an end of the frequencies there is none in between.
-            modulus_margin=float(min(moduli, default=np.min(np.abs(1.0 + response)))),
+            # python-control finds what is smallest between the frequencies, and not at either end of them.
+            modulus_margin=float(min((*moduli, np.min(np.abs(1.0 + response))))),
         )
 
     def load_step_peak(self) -> float:
