@@ -141,14 +141,20 @@ class DriveReport:
         fault_code = (code or 0) if faulted or (timed_out and driven) else None
         if timed_out and not faulted:  # alone it says nothing of other faults
             faulted = None
-        self.enabled = False if again and self.enabled is False else feedback.enabled
-        self.fault_code = self.fault_code if again and self.fault_code is not None else fault_code
-        self.faulted = (again and self.faulted) or faulted
         # Written out: a loop over their names took three times as long, on every axis and tick.
-        self.safe_torque_off = (again and self.safe_torque_off) or feedback.safe_torque_off
-        self.positive_limit = (again and self.positive_limit) or feedback.positive_limit
-        self.negative_limit = (again and self.negative_limit) or feedback.negative_limit
-        self.home_switch = (again and self.home_switch) or feedback.home_switch
+        if not again:
+            self.enabled, self.faulted, self.fault_code = feedback.enabled, faulted, fault_code
+            self.safe_torque_off, self.home_switch = feedback.safe_torque_off, feedback.home_switch
+            self.positive_limit, self.negative_limit = feedback.positive_limit, feedback.negative_limit
+            return
+        # Of several in a tick whatever is wrong in any of them counts.
+        self.enabled = False if self.enabled is False else feedback.enabled
+        self.fault_code = fault_code if self.fault_code is None else self.fault_code
+        self.faulted = self.faulted or faulted
+        self.safe_torque_off = self.safe_torque_off or feedback.safe_torque_off
+        self.positive_limit = self.positive_limit or feedback.positive_limit
+        self.negative_limit = self.negative_limit or feedback.negative_limit
+        self.home_switch = self.home_switch or feedback.home_switch
 
     def record_index(self, position: float) -> None:
         """Record the position that the encoder counted at its index mark, in axis unit."""

@@ -116,17 +116,20 @@ class AxisLoop:
         sent = self.bus.send(tick.index, self._frames)
         if sent is None:
             return
-        self._sent_s = asyncio.get_running_loop().time() if sent else None
-        self._dropped_in_a_row = 0 if sent else self._dropped_in_a_row + 1
-        if sent:
-            self._told_to_enable = bool(self.command.enable)
-        if self._dropped_in_a_row >= _DROPPED_IN_A_ROW:
-            self.axis.raise_trip(
-                TripCode.COMMANDS_DROPPED, f"the bus did not accept {self._dropped_in_a_row} commands in a row"
-            )
+        if not sent:
+            self._sent_s = None
+            self._dropped_in_a_row += 1
+            if self._dropped_in_a_row >= _DROPPED_IN_A_ROW:
+                self.axis.raise_trip(
+                    TripCode.COMMANDS_DROPPED, f"the bus did not accept {self._dropped_in_a_row} commands in a row"
+                )
+            return
+        self._sent_s = sent_s = asyncio.get_running_loop().time()
+        self._dropped_in_a_row = 0
+        self._told_to_enable = bool(self.command.enable)
         arrived_s = self.receiver.arrived_s
-        if sent and arrived_s is not None and self._sent_s is not None:
-            self.feedback_to_command.add(self._sent_s - arrived_s)
+        if arrived_s is not None:
+            self.feedback_to_command.add(sent_s - arrived_s)
 
     def record(self, tick: Tick) -> None:
         """Record the tick."""

@@ -40,10 +40,11 @@ class DisabledReport:
 
     def _report_what_lasts(self, tick_index: int, axis: "Axis") -> None:
         lasting = axis.lasting
-        if lasting or self._next:
-            # Of what has tripped the first line is that of the trip.
-            first = {one.code: tick_index + (self._every if one.code in axis.trips else 0) for one in lasting}
-            self._next = {code: self._next.get(code, first[code]) for code in first}
+        if not (lasting or self._next):
+            return
+        # Of what has tripped the first line is that of the trip.
+        first = {one.code: tick_index + (self._every if one.code in axis.trips else 0) for one in lasting}
+        self._next = {code: self._next.get(code, first[code]) for code in first}
         for one in lasting:
             if tick_index >= self._next[one.code]:
                 self._next[one.code] = tick_index + self._every

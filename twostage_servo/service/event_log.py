@@ -34,8 +34,9 @@ class EventLog:
 
     def publish(self, tick: Tick) -> None:
         """Report what has changed since the last tick."""
-        self._report_trip(tick)
         axis = self._axis_loop.axis
+        if axis.trips or self._trip is not None:
+            self._report_trip(tick)
         if axis.state is not self._state:
             self._log.info("state", tick=tick.index, before=self._state, now=axis.state)
             self._state = axis.state
@@ -51,7 +52,7 @@ class EventLog:
 
     def _report_reference(self, tick: Tick) -> None:
         reference = self._axis_loop.axis.reference
-        if (reference.source, reference.lost_because) == (self._source, self._lost_because):
+        if reference.source is self._source and reference.lost_because == self._lost_because:
             return
         begins = self._lost_because is None
         self._source, self._lost_because = reference.source, reference.lost_because
