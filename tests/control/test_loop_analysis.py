@@ -12,7 +12,7 @@ from twostage_servo.config.files import shipped_configuration
 from twostage_servo.config.loader import load
 from twostage_servo.control.laws.law import Controller
 from twostage_servo.control.loop_analysis import LoopAnalysis
-from twostage_servo.control.plant import DiscretePlant
+from twostage_servo.control.plant import DiscretePlant, Plant
 
 SHIPPED = sorted(path.name for path in shipped_configuration("").glob("*.toml") if path.name != "two_axes.toml")
 MARGINS = ("gain_margin", "gain_reduction_margin", "phase_margin_deg", "delay_margin_s", "modulus_margin")
@@ -32,6 +32,8 @@ def test_our_margins_are_those_of_python_control(name: str) -> None:
         theirs = LoopAnalysis(made.plant, loop.controller).margins()
         for margin in MARGINS:
             assert getattr(loop, margin) == pytest.approx(getattr(theirs, margin), rel=2e-4), margin
+        magnitudes = [abs(pole) for pole in loop.poles]
+        assert magnitudes == sorted(magnitudes, reverse=True)
 
 
 @pytest.mark.parametrize("stage", ["speed", "position"])
@@ -83,6 +85,15 @@ def test_a_load_moves_the_axis_as_far_as_by_hand(name: str) -> None:
     by_hand = answer_by_hand(made.plant, controller, round(2.0 / made.period_s) + 1)
     assert abs(by_hand[-1]) < 0.05 * max(map(abs, by_hand))
     assert LoopAnalysis(made.plant, controller).load_step_peak() == pytest.approx(max(map(abs, by_hand)))
+
+
+@pytest.mark.parametrize("period_s", [0.001, 0.01, 0.1])
+@pytest.mark.parametrize("gain", [0.1, 0.01])
+def test_a_load_is_looked_at_until_a_slow_loop_has_answered(gain: float, period_s: float) -> None:
+    """``u = -k y`` gives way to a load of 1 by 1/k; with 0.01 V/mm the demo's axis takes a minute for it."""
+    law = Controller(((0.0,),), ((1.0,),), ((-gain,),))
+    peak = LoopAnalysis(Plant(180.0, 14.0).discretise(period_s), law).load_step_peak()
+    assert peak == pytest.approx(1.0 / gain, rel=1e-3)
 
 
 def test_a_load_moves_an_unstable_loop_for_ever() -> None:

@@ -6,6 +6,7 @@ nothing that the service imports may import this module.
 """
 
 from dataclasses import dataclass
+from math import log
 from typing import TYPE_CHECKING, Any, Final
 
 import control
@@ -22,8 +23,12 @@ if TYPE_CHECKING:
 _FREQUENCIES: Final = 2000
 """Points from 1e-5 rad a sample to the Nyquist frequency; the margins between them are interpolated."""
 
-_LOAD_ANSWER_S: Final = 2.0
-"""How long the answer to a load step is looked at."""
+_DIED_DOWN: Final = 1e-4
+"""Share of itself to which the slowest part of an answer to a load step has died down when it is looked at no more."""
+
+_FEWEST_TICKS: Final = 50
+_MOST_TICKS: Final = 100_000
+"""Ticks of such an answer that are looked at, at least and at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +108,14 @@ class LoopAnalysis:
         a_p, b_p = self._plant
         a_c, b_c, c_c = (np.array(matrix) for matrix in (self.law.a, self.law.b, self.law.c))
         closed = np.block([[a_p, b_p @ c_c], [b_c @ self._output, a_c]])
-        if np.max(np.abs(np.linalg.eigvals(closed))) >= 1.0:
+        slowest = float(np.max(np.abs(np.linalg.eigvals(closed))))
+        if slowest >= 1.0:
             return float("inf")
         enters = np.vstack([-b_p, np.zeros((len(a_c), 1))])
         seen = np.zeros((1, len(closed)))
         seen[0, 0] = 1.0
-        times = np.arange(round(_LOAD_ANSWER_S / self._period_s) + 1) * self._period_s
+        ticks = round(log(_DIED_DOWN) / log(max(slowest, _DIED_DOWN)))
+        times = np.arange(min(max(ticks, _FEWEST_TICKS), _MOST_TICKS) + 1) * self._period_s
         answer = control.step_response(control.ss(closed, enters, seen, 0.0, self._period_s), times)
         return float(np.max(np.abs(answer.outputs)))
 
@@ -130,4 +137,4 @@ class LoopAnalysis:
         seen[0, 0 if self.law.follows == "position" else 1] = 1.0
         times = np.arange(round(duration_s / self._period_s) + 1, dtype=np.float64) * self._period_s
         answer = control.step_response(control.ss(closed, enters, seen, 0.0, self._period_s), times)
-        return times, np.asarray(answer.outputs, dtype=np.float64)
+        return times, np.asarray(answer.outputs)

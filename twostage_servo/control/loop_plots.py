@@ -77,7 +77,7 @@ def move_plot(panes: Sequence[Axes], moves: Mapping[str, Sequence[Tick]], unit: 
         pane.set_xlim(0.0, until_s)
         pane.set_xlabel("time (s)")
         pane.set_ylabel(label)
-        pane.grid(visible=True, linewidth=0.3)
+        pane.grid(linewidth=0.3)
     error.set_xlim(arrives_s, max(until_s, arrives_s + 0.05))
     velocity.legend(loc="lower center", fontsize="x-small")
 
@@ -96,7 +96,7 @@ def nyquist_plot(axes: Axes, loops: Mapping[str, LoopAnalysis]) -> None:
     axes.set_aspect("equal")
     axes.set_xlabel("real part of the loop gain")
     axes.set_ylabel("imaginary part")
-    axes.grid(visible=True, linewidth=0.3)
+    axes.grid(linewidth=0.3)
     axes.legend(loc="lower right", title="dotted: modulus margin")
 
 
@@ -109,5 +109,5 @@ def step_plot(axes: Axes, loops: Mapping[str, LoopAnalysis]) -> None:
     axes.axhline(1.0, color="black", linewidth=0.6, linestyle=":")
     axes.set_xlabel("time (s)")
     axes.set_ylabel("answer to a unit step, without limits")
-    axes.grid(visible=True, linewidth=0.3)
+    axes.grid(linewidth=0.3)
     axes.legend(loc="lower right")

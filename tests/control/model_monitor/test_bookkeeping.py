@@ -384,3 +384,10 @@ def test_a_sign_that_a_short_window_has_told_is_reckoned_by_that_window(surprise
     watch._sums, watch._accepted_sum, watch._still_sum = [0.02, 0.001, 0.03], surprise, 1e9
     expected = (110.0 + best) / (-OTHER_GAINS[best].plant.gain)
     assert test.reckon(-1.0).velocity == pytest.approx(expected)
+
+
+def test_the_reversal_watch_compares_the_gains_of_the_wrong_sign() -> None:
+    test = ModelMonitor(PLANT, PERIOD_S, NOISE)
+    wrong = [index for index, other in enumerate(OTHER_GAINS) if other.factor < 0.0]
+    assert len(wrong) >= 2
+    assert [id(one) for one in test._reversal._observers] == [id(test._gains[index]) for index in wrong]

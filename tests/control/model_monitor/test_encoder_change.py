@@ -357,3 +357,18 @@ def test_on_a_short_tick_the_noise_of_more_samples_counts() -> None:
     for own, expected in ((0.0590, True), (0.0593, False)):
         one.own_sum = own
         assert one.explains(0.125, 1.0, 0.01) is expected
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.004, 0.009])
+@pytest.mark.parametrize("factor", [-1.0, 0.5, 2.0])
+def test_an_older_sample_of_a_changed_encoder_begins_the_hypothesis_however_little_it_surprises_the_model(
+    factor: float, lag_s: float
+) -> None:
+    """Dated by f times the speed it is where the hypothesis has it: 10 mm - (1 - f) a12 v, and f v lag before that."""
+    one = change(factor, estimate())
+    shown = 10.0 - (1.0 - factor) * PLANT.discretise(0.01).a12 * 50.0
+    show(one, shown - factor * 50.0 * lag_s, 2.0, lag_s, square=1e-6)
+    assert one.ticks == 1
+    begun_anew = change(factor, estimate())
+    show(begun_anew, shown - factor * 50.0 * lag_s + 0.002, 2.0, lag_s, square=1e-6)
+    assert begun_anew.ticks == 0

@@ -7,8 +7,9 @@ import pytest
 
 from tests.control.laws.adaptive.test_adaptive_law import PERIOD_S, design, task
 from tools.bench.control_quality.true_plant import TrueAxis, TruePlant
+from twostage_servo.control.laws.adaptive.design import design_adaptive
 from twostage_servo.control.laws.adaptive.learning import Learning
-from twostage_servo.control.laws.adaptive.rules import LearningRules
+from twostage_servo.control.laws.adaptive.rules import LearningRules, Rules
 from twostage_servo.control.laws.law import Learned
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.plant import Plant
@@ -21,10 +22,18 @@ class Moves:
     """An axis with friction and a load whose law goes there and back; `gain` is the model's."""
 
     def __init__(
-        self, noise: float, seed: int, *, gain: float = 180.0, friction: float = 0.4, load: float = -0.9
+        self,
+        noise: float,
+        seed: int,
+        *,
+        gain: float = 180.0,
+        friction: float = 0.4,
+        load: float = -0.9,
+        rules: Rules = Rules(),  # noqa: B008 - frozen
     ) -> None:
         made = task(gain)
-        self.law = design(made, noise).build(DisturbanceObserver(made.sampled, made.kalman.predictor))
+        observer = DisturbanceObserver(made.sampled, made.kalman.predictor)
+        self.law = design_adaptive(made, noise, learns=True, rules=rules).build(observer)
         sign = 1.0 if gain > 0.0 else -1.0
         axis = TrueAxis(1.3 * gain, 9.8, friction, sign * load, effort_limit=24.0, quantum=0.01, delay_ticks=1)
         self.plant = TruePlant(axis, PERIOD_S, seed)
@@ -76,6 +85,14 @@ def test_the_load_that_is_left_is_that_of_the_axis_at_rest() -> None:
     moves.worst_error_at_rest(0.0)
     assert moves.move(300.0) == pytest.approx(0.5, abs=0.25)
     assert moves.law.control_estimate.disturbance == pytest.approx(0.9, abs=0.25)
+
+
+def test_a_law_that_is_told_not_to_gives_nothing_up() -> None:
+    moves = Moves(NOISE, 3, rules=Rules(ends_friction=False))
+    moves.worst_error_at_rest(300.0)
+    moves.worst_error_at_rest(0.0)
+    before = moves.move(300.0)
+    assert moves.law.control_estimate.disturbance == pytest.approx(before, abs=0.1)
 
 
 def learning(gain: float, loads: dict[float, float], direction: float = 1.0) -> Learning:

@@ -103,3 +103,35 @@ def test_a_stop_that_is_over_leaves_the_velocity_of_its_move() -> None:
         law.step(None)
     assert law.cruise_velocity == 90.0
     assert law.target == law.course.position
+
+
+@pytest.mark.parametrize(
+    ("moves", "known", "gap", "late"),
+    [
+        (0, 0.0, -2.6, False),  # a first move has to show more than 2.701
+        (0, 0.0, -2.8, True),
+        (0, -100.0, -2.6, False),  # and nothing else counts in it
+        (1, 5.0, -4.9, False),  # a later one goes on with the evidence of those before
+        (1, 5.0, -5.1, True),
+        (1, -5.0, 4.9, True),
+        (1, -5.0, 5.1, False),
+    ],
+)
+def test_which_delay_is_likelier(moves: int, known: float, gap: float, late: bool) -> None:
+    """By the evidence for each, twice the negative logarithm of its likelihood: the late fit's less the other one's."""
+    made = under_way(ticks=10, gain_share=0.02)
+    soon, after = made._fits
+    shown: dict[str, Any] = {"update": lambda *_: None, "position": 1.0, "velocity": 2.0}
+    vars(soon).update(shown, evidence=0.0)
+    vars(after).update(shown, evidence=gap)
+    made.moves, made._delay_evidence = moves, known
+    found = made.update(1.0, 3.0, 3.0)
+    assert found is not None
+    assert made.is_late is late
+
+
+def test_a_move_shows_something_from_the_sample_after_that_in_which_a_first_effort_has_acted() -> None:
+    made = Learning(CONFIGURED, LearningRules(), 0.01, 24.0)
+    made.begin(1.0, 0.0, 0.01)
+    found = [made.update(sample, 1.0, 1.0) for sample in (0.0, 0.0, 0.009, 0.034)]
+    assert [one is None for one in found] == [True, True, True, False]

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twostage_servo.control.laws.adaptive.changeover import Changeover
-from twostage_servo.control.laws.adaptive.reference import Shape
+from twostage_servo.control.laws.adaptive.reference import Shape, Ways
 from twostage_servo.control.laws.adaptive.speed_stage import SpeedStage
 
 STEP = 2.0
@@ -86,3 +86,75 @@ def test_the_reference_begins_where_the_axis_is_a_tick_ahead() -> None:
     assert course.braking._deceleration == pytest.approx(125.0)
     assert begun(ahead=20.0, speed=30.0, left=4.0).braking._deceleration == pytest.approx(100.0)
     assert begun(ahead=0.0, speed=30.0, left=4.0).braking is None
+
+
+@pytest.mark.parametrize(
+    ("speed", "slope", "least"),
+    [
+        (50.0, -3.0, 45.0),  # its slope may change by 2 mm/s in a tick
+        (50.0, 5.0, 53.0),
+        (50.0, -9.5, 40.0),  # and be -10 mm/s at most, by the acceleration
+        (50.0, -12.0, 38.0),  # or what it is already
+        (0.5, -3.0, 0.0),  # from ahead it does not turn back
+        (3.0, -3.0, 0.0),
+        (-2.0, -1.0, -5.0),
+    ],
+)
+def test_how_slow_a_smooth_reference_may_be_a_tick_ahead(speed: float, slope: float, least: float) -> None:
+    changeover: Any = SimpleNamespace(
+        _smoothing=SimpleNamespace(step=lambda gain: gain / 90.0),
+        _estimate=SimpleNamespace(model=SimpleNamespace(plant=SimpleNamespace(gain=180.0))),
+        _acceleration_limit=1000.0,
+        _period_s=0.01,
+    )
+    course: Any = SimpleNamespace(speed=speed, slope=slope)
+    assert Changeover._falls_from(changeover, course) == pytest.approx(least)
+    changeover._smoothing = None
+    assert Changeover._falls_from(changeover, course) == speed
+
+
+@pytest.mark.parametrize(
+    ("target", "direction", "ahead", "slope", "after"),
+    [
+        (120.0, 1.0, -0.5, -2.0, (1.0, -0.5, -2.0)),  # the set-point is still ahead
+        (80.0, 1.0, -0.5, -2.0, (-1.0, 0.5, 2.0)),  # it has been passed: forward is the other way now
+        (80.0, -1.0, -0.5, -2.0, (-1.0, -0.5, -2.0)),
+        (120.0, -1.0, 0.0, -2.0, (1.0, 0.0, 2.0)),
+    ],
+)
+def test_an_axis_that_has_turned_round_counts_forward_towards_its_set_point(
+    target: float, direction: float, ahead: float, slope: float, after: tuple[float, float, float]
+) -> None:
+    set_out: list[float] = []
+    stage: Any = SimpleNamespace(
+        _estimate=SimpleNamespace(position=100.0), _departure=SimpleNamespace(set_out=set_out.append)
+    )
+    course: Any = SimpleNamespace(target=target, direction=direction, slope=slope, speed=9.0, turns=True)
+    SpeedStage._turn_round(stage, course, ahead)
+    assert (course.direction, course.speed, course.slope) == after
+    assert (course.turns, set_out) == (False, [100.0])
+
+
+@pytest.mark.parametrize(
+    ("left", "deceleration", "smooth", "late"),
+    [
+        (0.139, 3000.0, True, True),  # 7 ms at 20 mm/s are 0.14 mm
+        (0.141, 3000.0, True, False),
+        (0.139, 3000.0, False, False),  # it stops within the tick
+        (0.239, 1000.0, False, True),  # 20 mm/s and then 10 take 0.14 + 0.1 mm
+        (0.241, 1000.0, False, False),
+        (0.239, 1000.0, True, True),
+        (0.241, 1000.0, True, False),
+    ],
+)
+def test_a_braking_is_late_where_less_is_left_than_it_takes(
+    left: float, deceleration: float, smooth: bool, late: bool
+) -> None:
+    """3 ms of the speed a tick ahead are gone by then, and 0.5 mm for the taps of the average."""
+    changeover: Any = SimpleNamespace(
+        _estimate=SimpleNamespace(model=SimpleNamespace(ways=Ways(0.003, 0.007, 0.01))),
+        _smoothing=SimpleNamespace() if smooth else None,
+        _period_s=0.01,
+    )
+    plan: Any = SimpleNamespace(shape=SimpleNamespace(speed=20.0, way=0.5), deceleration=deceleration)
+    assert Changeover._is_late(changeover, 30.0, plan, left + 0.5 + 0.09) is late

@@ -336,3 +336,23 @@ def test_braking_takes_the_least_time_where_its_square_is_jerk_times_speed(
     made = smoothing()
     assert made.step(180.0) == pytest.approx(1.0)  # 10000 mm/s³ in ticks of 10 ms
     assert made.deceleration(speed, slope, made.step(180.0), most, 0.01) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("jerk", [500.0, 20_000.0])
+@pytest.mark.parametrize("speed", [1.0, -3.0, 40.0])
+def test_an_s_curve_takes_longer_than_its_ramp_by_the_time_of_its_jerk_or_as_two_triangles(
+    speed: float, jerk: float
+) -> None:
+    """With 0.85 of the jerk: a/j more where it gets to the ramp's slope; else two triangles, ``sqrt(v/j)`` each."""
+    most, planned = 2000.0, 0.85 * jerk
+    reaches = abs(speed) >= most**2 / planned
+    whole_s = abs(speed) / most + most / planned if reaches else 2.0 * math.sqrt(abs(speed) / planned)
+    assert smoothing_time_s(speed, most, jerk) == pytest.approx(whole_s - abs(speed) / most)
+    assert smoothing_distance(speed, most, jerk) == pytest.approx(0.5 * abs(speed) * (whole_s - abs(speed) / most))
+
+
+def test_both_kinds_of_an_s_curve_meet_where_it_just_gets_to_the_slope_of_the_ramp() -> None:
+    speed = 2000.0**2 / (0.85 * 20_000.0)
+    below, at = (smoothing_time_s(share * speed, 2000.0, 20_000.0) for share in (1.0 - 1e-9, 1.0))
+    assert below == pytest.approx(at)
+    assert at == pytest.approx(2000.0 / 17_000.0)
