@@ -116,6 +116,16 @@ def test_a_set_point_that_changes_on_the_way_keeps_the_bounds_and_is_met(
     assert run.positions[-1] == pytest.approx(other * distance, abs=1e-6)
 
 
+def test_a_set_point_that_would_be_only_just_met_keeps_the_jerk() -> None:
+    """A braking that was a little steeper than planned began with a tick of 1.03 j."""
+    run = Run(0.001, 1265.0, 58_880.0)
+    run.law.set_target(2.0, 2.0)
+    run.ticks(20)
+    run.law.set_target(0.04, 2.0)
+    run.to_rest()
+    run.check_bounds(2.0)
+
+
 @settings(max_examples=60, deadline=None)
 @given(PERIODS, VELOCITIES, ACCELERATIONS, RAMPS_S, st.floats(0.02, 3.0), st.booleans())
 def test_a_smooth_stop_keeps_the_bounds_and_never_turns(
@@ -356,3 +366,9 @@ def test_both_kinds_of_an_s_curve_meet_where_it_just_gets_to_the_slope_of_the_ra
     below, at = (smoothing_time_s(share * speed, 2000.0, 20_000.0) for share in (1.0 - 1e-9, 1.0))
     assert below == pytest.approx(at)
     assert at == pytest.approx(2000.0 / 17_000.0)
+
+
+@pytest.mark.parametrize(("slope", "fallen"), [(3.0, 0.0), (0.0, 0.0), (-1.8, 1.0), (-6.3, 3.5)])
+def test_a_braking_goes_on_with_the_slope_that_there_is(slope: float, fallen: float) -> None:
+    """Planned with 0.9 of 2 mm/s a tick: a slope of -1.8 mm/s is that of a tick of it."""
+    assert SmoothShape.at(100.0, slope, 1000.0, 2.0, WAYS).fallen == pytest.approx(fallen)

@@ -9,13 +9,13 @@ from typing import Final, NamedTuple
 
 from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
-from twostage_servo.control.laws.adaptive.reference import Braking, BrakingShape, Shape, next_speed
+from twostage_servo.control.laws.adaptive.reference import Braking, BrakingShape, Shape, Ways, next_speed
 from twostage_servo.control.laws.adaptive.rules import Rules, loop_period_s
 from twostage_servo.control.laws.adaptive.smoothing import BRAKING_SHARE, Smoothing, SmoothShape
 from twostage_servo.control.laws.law import ControlTask
 
 _HALVINGS: Final = 24
-"""Steps in which the top speed of a short move is found: to a part in sixteen million."""
+"""Steps in which the top speed of a short move, or a deceleration, is found: to a part in sixteen million."""
 
 _LEAST_SHARE: Final = 0.2
 """Share of the effort limit, and of the cruise velocity, that braking is planned with at least."""
@@ -155,12 +155,12 @@ class Changeover:
         hardest = min(_HARDEST / self._rules.braking_share * deceleration, self._acceleration_limit)
         needed, most = _needed(shape, left), max(hardest, 2.0 * deceleration)
         if self._smoothing is not None:  # what is steeper than planned has more jerk as well
-            most = deceleration / BRAKING_SHARE
+            needed, most = _needed_evenly(shape, left, ways), deceleration / BRAKING_SHARE
             if needed > most:
                 harder = self._plan(course, ahead, hardest)
                 left += shape.way - harder.shape.way
                 shape, deceleration = harder
-                needed, most = _needed(shape, left), deceleration / BRAKING_SHARE
+                needed, most = _needed_evenly(shape, left, ways), deceleration / BRAKING_SHARE
         # A smooth reference may still come from the other direction: what counts is where its slope will have run out.
         brakes = ahead > 0.0 if self._smoothing is None else shape.speed > 0.0
         if self._smoothing is None:
@@ -180,3 +180,15 @@ class Changeover:
 def _needed(shape: BrakingShape, left: float) -> float:
     """Return the deceleration with which a braking ends within what is left (axis unit), in axis unit/s²."""
     return shape.speed * shape.speed / (2.0 * left) if left > 0.0 else copysign(inf, shape.speed)
+
+
+def _needed_evenly(shape: BrakingShape, left: float, ways: Ways) -> float:
+    """Return that of a smooth braking, whose first tick may be no steeper than the others: that would be more jerk."""
+    if left <= 0.0:
+        return copysign(inf, shape.speed)
+    low, high = 0.0, max(shape.speed, 0.0) / ways.period_s  # all of it in one tick
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        is_late = next_speed(left, shape.speed, middle, ways) < shape.speed - middle * ways.period_s
+        low, high = (middle, high) if is_late else (low, middle)
+    return high
