@@ -78,3 +78,30 @@ def test_each_loop_is_drawn_with_its_margin_and_its_step(loops: dict[str, LoopAn
 def test_where_nothing_follows_there_is_no_step(loops: dict[str, LoopAnalysis]) -> None:
     figure = design_figure({"brake": loops["brake"]}, MOVES, "mm", "")
     assert len(figure.axes) == 4
+
+
+def test_lines_are_thin_enough_to_tell_apart_and_the_critical_point_is_not_to_be_missed(
+    loops: dict[str, LoopAnalysis],
+) -> None:
+    figure = design_figure(loops, MOVES, "mm", "")
+    nyquist, step, *panes = figure.axes
+    for axes in figure.axes:
+        for grid in (axes.xaxis.get_gridlines()[0], axes.yaxis.get_gridlines()[0]):
+            assert grid.get_visible()
+            assert 0.0 < grid.get_linewidth() < 0.5
+    assert all(0.0 < drawn.get_linewidth() < 1.0 for pane in panes for drawn in pane.lines)
+    circles, responses = nyquist.lines[1 : 2 * len(loops) : 2], nyquist.lines[0 : 2 * len(loops) : 2]
+    for circle, response in zip(circles, responses, strict=True):
+        assert 0.0 < circle.get_linewidth() < response.get_linewidth()
+        assert circle.get_color() == response.get_color()
+    critical, one = nyquist.lines[2 * len(loops)], step.lines[-1]
+    assert critical.get_markersize() > 8.0
+    assert (critical.get_color(), one.get_color()) == ("black", "black")
+    assert 0.0 < one.get_linewidth() < 1.0
+
+
+def test_a_move_that_is_there_from_the_start_is_drawn_beside_one_that_is_not() -> None:
+    moves = {"far": MOVES["weak"], "there": [(0.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.0, 0.0)]}
+    velocity, _, error = design_figure({}, moves, "mm", "").axes
+    assert velocity.get_xlim() == pytest.approx((0.0, 1.1 * 0.2))
+    assert error.get_xlim()[0] == 0.0

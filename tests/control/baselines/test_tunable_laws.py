@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 from tests.control.baselines.rig import MODEL, PERIOD_S, SAMPLED
 from twostage_servo.control.baselines.active_disturbance_rejection import ACTIVE_DISTURBANCE_REJECTION
-from twostage_servo.control.baselines.composite_nonlinear import COMPOSITE_NONLINEAR
+from twostage_servo.control.baselines.composite_nonlinear import COMPOSITE_NONLINEAR, CompositeNonlinearServo
 from twostage_servo.control.baselines.initial_value import INITIAL_VALUE, InitialValueServo, sum_gains
 from twostage_servo.control.baselines.profile_pid import PROFILE_PID
 from twostage_servo.control.baselines.proximate_time_optimal import PROXIMATE_TIME_OPTIMAL, ProximateTimeOptimalServo
@@ -160,7 +160,7 @@ def test_gains_place_the_poles_that_were_asked_for() -> None:
     assert_poles(open_loop + effort @ np.array([[-f1, -f2, 1.0]]), [SINGLE, *PAIR_ROOTS])
 
 
-@pytest.mark.parametrize(("way", "velocity"), [(400.0, 100.0), (-3.0, 150.0), (0.01, 20.0), (50.0, 7.3)])
+@pytest.mark.parametrize(("way", "velocity"), [(400.0, 100.0), (-3.0, 150.0), (0.01, 20.0), (50.0, 7.3), (0.5, 5.0)])
 def test_a_trapezoid_keeps_its_limits_and_ends_exactly(way: float, velocity: float) -> None:
     profile = Trapezoid(5.0, 5.0 + way, velocity, 1000.0, 600.0, PERIOD_S)
     position, speed = np.array([profile.at(tick) for tick in range(2000)]).T
@@ -288,3 +288,30 @@ def test_adrc_has_a_double_pole_at_the_bandwidth_of_its_feedback() -> None:
     f1, f2, f3 = linear_gains(ACTIVE_DISTURBANCE_REJECTION.build(task_of(), values))
     b0 = 1.5 * MODEL.gain
     assert (b0 * f1, b0 * f2, b0 * f3) == pytest.approx((625.0, 50.0, 1.0))
+
+
+def test_the_nonlinear_part_of_cnf_goes_with_the_cost_to_come_of_its_linear_one() -> None:
+    """``B' P (A - B F)/(B' P B)`` with P the sum of ``(A - B F)'^k W (A - B F)^k``, added up term by term."""
+    values = {**COMPOSITE_NONLINEAR.start(), "nonlinear_share": 0.7, "velocity_weight_s": 0.05}
+    f1, f2, _ = linear_gains(COMPOSITE_NONLINEAR.build(task_of(), values))
+    pair = Pair.of(values["feedback_frequency"], values["feedback_damping"], PERIOD_S)
+    feedback = np.array([feedback_gains(SAMPLED, pair)])
+    state = np.array([[1.0, SAMPLED.a12], [0.0, SAMPLED.a22]])
+    effort = np.array([[SAMPLED.b1], [SAMPLED.b2]])
+    closed, weight = state - effort @ feedback, np.diag([1.0, 0.05**2])
+    cost, power = np.zeros((2, 2)), np.eye(2)
+    for _ in range(2000):
+        cost += power.T @ weight @ power
+        power = power @ closed
+    added = 0.7 * (effort.T @ cost @ closed) / (effort.T @ cost @ effort)
+    assert (f1, f2) == pytest.approx(tuple((feedback + added)[0]))
+
+
+def test_cnf_adds_the_more_of_its_nonlinear_part_the_less_is_left() -> None:
+    """``exp(-alpha share)`` of it, here with alpha 3."""
+    law = CompositeNonlinearServo(task_of(), COMPOSITE_NONLINEAR.start() | {"nonlinear_decay": 3.0})
+    law._observer.position, law._observer.velocity, law._observer.disturbance = 0.0, 20.0, 1.5
+    for share in (1.0, 0.5, 0.0):
+        blend = exp(-3.0 * share)
+        expected = (law._f1 + blend * law._n1) * 8.0 - (law._f2 + blend * law._n2) * 20.0 - 1.5
+        assert law._position_stage(8.0, share) == pytest.approx(expected)

@@ -158,3 +158,24 @@ def test_a_braking_is_late_where_less_is_left_than_it_takes(
     )
     plan: Any = SimpleNamespace(shape=SimpleNamespace(speed=20.0, way=0.5), deceleration=deceleration)
     assert Changeover._is_late(changeover, 30.0, plan, left + 0.5 + 0.09) is late
+
+
+@pytest.mark.parametrize(
+    ("ticks", "sure", "ends_at"), [(200, True, 5), (200, False, 12), (4, True, None), (11, False, None)]
+)
+def test_identification_ends_in_a_cruise_that_has_shown_enough_or_has_lasted_long(
+    ticks: int, sure: bool, ends_at: int | None
+) -> None:
+    ended: list[int] = []
+    course: Any = SimpleNamespace(ticks_cruised=0)
+    stage: Any = SimpleNamespace(
+        _estimate=SimpleNamespace(
+            learning=SimpleNamespace(is_sure=sure), finish=lambda: ended.append(course.ticks_cruised)
+        ),
+        _rules=SimpleNamespace(identification_ticks=5, longest_identification_ticks=12),
+    )
+    for _ in range(ticks):
+        SpeedStage._cruise(stage, course)
+        if ended:
+            break
+    assert (ended or [None])[0] == ends_at
