@@ -60,6 +60,8 @@ def test_a_share_that_is_none_is_refused(text: str) -> None:
     [
         ("for a, b in zip(c, d, strict=True):", "for a, b in zip(c, d, strict=False):", True),
         ("for a, b in zip(c, d, strict=True):", "for a, b in zip(c, d, ):", True),
+        ("for a, b in zip(c.items(), d, strict=False):", "for a, b in zip(c.items(), d, ):", True),
+        ("for a, b in zip(c.items(), d, strict=False):", "for a, b in zip(c.items(), strict=False):", False),
         (
             "x = sum(a * b for a, b in zip(c, d, strict=True))",
             "x = sum(a / b for a, b in zip(c, d, strict=True))",

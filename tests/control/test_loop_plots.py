@@ -94,6 +94,7 @@ def test_lines_are_thin_enough_to_tell_apart_and_the_critical_point_is_not_to_be
     for circle, response in zip(circles, responses, strict=True):
         assert 0.0 < circle.get_linewidth() < response.get_linewidth()
         assert circle.get_color() == response.get_color()
+        assert circle.get_linestyle() == ":"
     critical, one = nyquist.lines[2 * len(loops)], step.lines[-1]
     assert critical.get_markersize() > 8.0
     assert (critical.get_color(), one.get_color()) == ("black", "black")

@@ -50,7 +50,7 @@ class Mutant:
         return f"{self.path}:{self.function}"
 
 
-_LENGTHS: Final = re.compile(r"(zip\([^()]*),\s*(strict=\w+)?\s*\)")
+_LENGTHS: Final = re.compile(r"(zip\((?:[^()]|\([^()]*\))*),\s*(strict=\w+)?\s*\)")
 
 
 def is_about_equal_lengths(lines: Sequence[str]) -> bool:

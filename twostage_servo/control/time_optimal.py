@@ -92,7 +92,7 @@ class Capability:
     def _brake(self, velocity: float) -> tuple[float, float]:
         """Return time and way from a speed to rest: at the limit while the effort allows more, then by the effort."""
         limit = self.acceleration
-        left = velocity if limit == inf else min(velocity, max(0.0, (limit - self.down) / self.pole))
+        left = min(velocity, max(0.0, (limit - self.down) / self.pole))
         early_s = (velocity - left) / limit
         late_s = log(1.0 + self.pole * left / self.down) / self.pole
         return early_s + late_s, 0.5 * (velocity + left) * early_s + (left - self.down * late_s) / self.pole

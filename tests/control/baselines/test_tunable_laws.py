@@ -17,11 +17,12 @@ from twostage_servo.control.baselines.composite_nonlinear import COMPOSITE_NONLI
 from twostage_servo.control.baselines.initial_value import INITIAL_VALUE, InitialValueServo, sum_gains
 from twostage_servo.control.baselines.profile_pid import PROFILE_PID
 from twostage_servo.control.baselines.proximate_time_optimal import PROXIMATE_TIME_OPTIMAL, ProximateTimeOptimalServo
+from twostage_servo.control.baselines.speed_stage import SpeedStage
 from twostage_servo.control.baselines.state_feedback import Pair, feedback_gains, observer_gain
 from twostage_servo.control.baselines.trapezoid import Trapezoid
 from twostage_servo.control.baselines.tunable import TunableLaw, TunableLawType
 from twostage_servo.control.laws.law import ControlTask
-from twostage_servo.control.observer import NoiseModel, extended_model, kalman_gain
+from twostage_servo.control.observer import DisturbanceObserver, NoiseModel, extended_model, kalman_gain
 from twostage_servo.control.plant import Plant
 
 LAWS = {
@@ -315,3 +316,24 @@ def test_cnf_adds_the_more_of_its_nonlinear_part_the_less_is_left() -> None:
         blend = exp(-3.0 * share)
         expected = (law._f1 + blend * law._n1) * 8.0 - (law._f2 + blend * law._n2) * 20.0 - 1.5
         assert law._position_stage(8.0, share) == pytest.approx(expected)
+
+
+def test_a_speed_stage_has_its_pole_and_holds_a_cruise_against_a_load() -> None:
+    """``x2(k+1) = a22 x2 + b2 (u + x3)``: a deviation of the speed falls by exp(-w T) a tick, and w is 60 rad/s."""
+    stage = SpeedStage(task_of(), {"speed_frequency": 60.0})
+    observer = DisturbanceObserver(SAMPLED, (0.0, 0.0, 0.0))
+    observer.velocity, observer.disturbance = 100.0, -1.5
+    for deviation in (0.0, 5.0, -8.0):
+        observer.velocity = 100.0 + deviation
+        effort = stage.effort(100.0, observer)
+        after = SAMPLED.a22 * observer.velocity + SAMPLED.b2 * (effort - 1.5)
+        assert after - 100.0 == pytest.approx(deviation * exp(-0.6))
+
+
+def test_the_parts_of_a_trapezoid_take_no_tick_more_than_they_need() -> None:
+    """100 mm/s at 1000 and 500 mm/s²: ten ticks up, twenty down; 25 mm leave ten ticks of cruise."""
+    profile = Trapezoid(0.0, 25.0, 100.0, 1000.0, 500.0, PERIOD_S)
+    speeds = [profile.at(tick)[1] for tick in range(42)]
+    assert speeds[9:21] == pytest.approx([90.0, *[100.0] * 11])
+    assert speeds[21] == pytest.approx(95.0)
+    assert speeds[39:] == pytest.approx([5.0, 0.0, 0.0])

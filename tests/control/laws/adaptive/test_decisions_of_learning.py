@@ -1,5 +1,6 @@
 """When what a move has shown is kept, and what is known then, case by case."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -103,6 +104,7 @@ def test_a_stop_that_is_over_leaves_the_velocity_of_its_move() -> None:
         law.step(None)
     assert law.cruise_velocity == 90.0
     assert law.target == law.course.position
+    assert law.changeovers == 1
 
 
 @pytest.mark.parametrize(
@@ -135,3 +137,18 @@ def test_a_move_shows_something_from_the_sample_after_that_in_which_a_first_effo
     made.begin(1.0, 0.0, 0.01)
     found = [made.update(sample, 1.0, 1.0) for sample in (0.0, 0.0, 0.009, 0.034)]
     assert [one is None for one in found] == [True, True, True, False]
+
+
+@pytest.mark.parametrize(("finds_delay", "evidence"), [(True, 50.0), (False, 0.0)])
+def test_a_law_that_does_not_look_for_a_delay_learns_nothing_of_it(finds_delay: bool, evidence: float) -> None:
+    made = under_way(ticks=30, gain_share=0.02)
+    made._rules = replace(LearningRules(), finds_delay=finds_delay)
+    assert made.finish()
+    assert made.learned.delay_evidence == evidence
+
+
+@pytest.mark.parametrize("degrades", [True, False])
+def test_a_move_with_a_poor_fit_goes_on_with_its_model_unless_the_law_is_to_degrade(degrades: bool) -> None:
+    made = under_way(ticks=20, gain_share=0.02)
+    made._poor_fit = replace(OUT_OF_BOUNDS, degrades=degrades)
+    assert made.give_up() is not degrades

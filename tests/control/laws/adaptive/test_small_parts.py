@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twostage_servo.control.laws.adaptive.changeover import Changeover
+from twostage_servo.control.laws.adaptive.changeover import Changeover, _Plan
 from twostage_servo.control.laws.adaptive.reference import Shape, Ways
 from twostage_servo.control.laws.adaptive.speed_stage import SpeedStage
 
@@ -179,3 +179,74 @@ def test_identification_ends_in_a_cruise_that_has_shown_enough_or_has_lasted_lon
         if ended:
             break
     assert (ended or [None])[0] == ends_at
+
+
+@pytest.mark.parametrize(
+    ("cautious", "new", "cruise", "target", "rise"),
+    [
+        # 5 ticks of 10 ms: 20 mm/s in each of them for 100 mm/s; 40 mm in 50 ms² are 16 mm/ms², 160 mm/s a tick
+        (True, True, 100.0, 40.0, 20.0),
+        (True, True, 100.0, -40.0, 20.0),
+        (True, True, 100.0, 1.0, 4.0),  # for 1 mm
+        (True, True, 1000.0, 400.0, 50.0),  # the acceleration allows no more
+        (True, False, 100.0, 1.0, 50.0),
+        (False, True, 100.0, 1.0, 50.0),
+    ],
+)
+def test_a_first_move_on_an_unknown_plant_rises_gently(
+    cautious: bool, new: bool, cruise: float, target: float, rise: float
+) -> None:
+    stage: Any = SimpleNamespace(
+        _rules=SimpleNamespace(is_cautious=cautious, first_acceleration=5.0),
+        _estimate=SimpleNamespace(learning=SimpleNamespace(is_new=new)),
+        _departure=SimpleNamespace(position=0.0),
+        _loop_period_s=0.01,
+        _period_s=0.01,
+        _ramp=50.0,
+    )
+    course: Any = SimpleNamespace(cruise_velocity=cruise, target=target)
+    assert SpeedStage._largest_rise(stage, course) == pytest.approx(rise)
+
+
+@pytest.mark.parametrize(("asked", "ahead"), [(60.0, 56.0), (55.0, 55.0), (54.5, 54.5), (40.0, 54.0)])
+def test_a_smooth_reference_whose_effort_a_limit_cuts_changes_smoothly(asked: float, ahead: float) -> None:
+    """It would go on to 55 mm/s with the slope that it has, and its slope may change by 1 mm/s in a tick."""
+    stage: Any = SimpleNamespace(
+        _smoothing=SimpleNamespace(step=lambda gain: gain / 180.0),
+        _estimate=SimpleNamespace(model=SimpleNamespace(plant=SimpleNamespace(gain=180.0))),
+    )
+    course: Any = SimpleNamespace(speed=50.0, slope=5.0)
+    assert SpeedStage._withheld(stage, course, asked) == ahead
+    stage._smoothing = None
+    assert SpeedStage._withheld(stage, course, asked) == asked
+
+
+@pytest.mark.parametrize(
+    ("speed", "left", "turns"),
+    [
+        (20.0, 0.35, False),  # 1000 mm/s² are planned, and a ninth more is allowed: 20, 10 and 0 mm/s take 0.34 mm
+        (20.0, 0.20, True),
+        (20.0, 0.13, True),  # less than the tick in which it stops
+        (20.0, -0.1, True),
+        (0.0, -0.1, False),  # its slope runs out at rest
+        (-3.0, -0.1, False),
+    ],
+)
+def test_a_smooth_reference_turns_round_where_no_even_braking_meets_the_set_point(
+    speed: float, left: float, turns: bool
+) -> None:
+    shape: Any = SimpleNamespace(speed=speed, way=0.0, last_weight=1.0, lead=list, history=lambda: [speed])
+    plan = _Plan(shape, 1000.0)
+    changeover: Any = SimpleNamespace(
+        _estimate=SimpleNamespace(position=100.0, model=SimpleNamespace(ways=Ways(0.003, 0.007, 0.01))),
+        _rules=SimpleNamespace(braking_share=0.66),
+        _acceleration_limit=1000.0,
+        _smoothing=SimpleNamespace(),
+        _plan=lambda *_: plan,
+    )
+    course: Any = SimpleNamespace(
+        direction=1.0, speed=20.0, turns=False, has_changed_over=False, position=0.0, braking=None, top=0.0
+    )
+    Changeover._begin_braking(changeover, course, 20.0, plan, left)
+    assert (course.turns, course.has_changed_over) == (turns, not turns)
+    assert (course.braking is not None) is (not turns and speed > 0.0)

@@ -372,3 +372,13 @@ def test_both_kinds_of_an_s_curve_meet_where_it_just_gets_to_the_slope_of_the_ra
 def test_a_braking_goes_on_with_the_slope_that_there_is(slope: float, fallen: float) -> None:
     """Planned with 0.9 of 2 mm/s a tick: a slope of -1.8 mm/s is that of a tick of it."""
     assert SmoothShape.at(100.0, slope, 1000.0, 2.0, WAYS).fallen == pytest.approx(fallen)
+
+
+@pytest.mark.parametrize(
+    ("slope", "deceleration", "fall"),
+    [(0.0, 1000.0, 10.0), (-12.0, 1000.0, 12.0), (12.0, 1000.0, 10.0), (0.0, 100.0, 1.8), (-1.0, 100.0, 1.8)],
+)
+def test_the_unaveraged_reference_falls_by_its_deceleration_the_slope_that_there_is_or_a_step_of_the_jerk(
+    slope: float, deceleration: float, fall: float
+) -> None:
+    assert SmoothShape.at(100.0, slope, deceleration, 2.0, WAYS).fall == pytest.approx(fall)

@@ -163,12 +163,8 @@ class Changeover:
                 needed, most = _needed_evenly(shape, left, ways), deceleration / BRAKING_SHARE
         # A smooth reference may still come from the other direction: what counts is where its slope will have run out.
         brakes = ahead > 0.0 if self._smoothing is None else shape.speed > 0.0
-        if self._smoothing is None:
-            passes = ahead > 0.0 and speed > 0.0 and needed > most
-        else:
-            drops = left < ways.beta * shape.speed and shape.speed > most * self._period_s  # all of it in one tick
-            passes = brakes and (needed > most or drops)
-        if passes:
+        moves = brakes and (speed > 0.0 or self._smoothing is not None)
+        if moves and needed > most:
             course.turns = True
             return
         course.has_changed_over = True
