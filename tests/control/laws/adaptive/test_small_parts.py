@@ -178,7 +178,7 @@ def test_identification_ends_in_a_cruise_that_has_shown_enough_or_has_lasted_lon
         SpeedStage._cruise(stage, course)
         if ended:
             break
-    assert (ended or [None])[0] == ends_at
+    assert (ended[0] if ended else None) == ends_at
 
 
 @pytest.mark.parametrize(
