@@ -152,3 +152,21 @@ def test_a_move_with_a_poor_fit_goes_on_with_its_model_unless_the_law_is_to_degr
     made = under_way(ticks=20, gain_share=0.02)
     made._poor_fit = replace(OUT_OF_BOUNDS, degrades=degrades)
     assert made.give_up() is not degrades
+
+
+@pytest.mark.parametrize(("watched", "disturbance"), [(True, -3.5), (False, 0.0)])
+def test_a_plant_that_was_only_watched_is_taken_on_with_the_acceleration_that_there_was(
+    watched: bool, disturbance: float
+) -> None:
+    """A cruise at 90 mm/s takes 7 V of 180 mm/s² each, and of twice that half: 3.5 V are over."""
+    made = task()
+    estimate = Rig(made).law.control_estimate
+    estimate._efforts = (7.0, 7.0, 7.0)
+    estimate.observer.go_on_from(10.0, 90.0, 0.0)
+    found: Any = SimpleNamespace(
+        only_watches=watched, finish=lambda: True, believed=Plant(360.0, 14.0), is_known=True, is_late=False
+    )
+    estimate.learning = found
+    estimate.finish()
+    assert estimate.model.plant.gain == 360.0
+    assert estimate.disturbance == pytest.approx(disturbance)

@@ -250,3 +250,22 @@ def test_a_smooth_reference_turns_round_where_no_even_braking_meets_the_set_poin
     Changeover._begin_braking(changeover, course, 20.0, plan, left)
     assert (course.turns, course.has_changed_over) == (turns, not turns)
     assert (course.braking is not None) is (not turns and speed > 0.0)
+
+
+@pytest.mark.parametrize(("ahead", "rise"), [(105.0, 5.0), (120.0, 20.0), (180.0, 20.0), (100.0, 0.0), (90.0, 0.0)])
+def test_a_braking_is_planned_from_no_steeper_rise_than_the_reference_has_by_itself(ahead: float, rise: float) -> None:
+    """2000 mm/s² are 20 mm/s a tick. An axis that is driven takes the reference along faster than that.
+
+    A spurious load, of a coarse encoder, once made it rise by 25 ticks' worth in one: it braked 2.9 m early.
+    """
+    model = SimpleNamespace(plant=SimpleNamespace(gain=180.0), ways=Ways(0.003, 0.007, 0.01))
+    changeover: Any = SimpleNamespace(
+        _estimate=SimpleNamespace(model=model),
+        _smoothing=None,
+        _largest_step=10.0,
+        _acceleration_limit=2000.0,
+        _period_s=0.01,
+    )
+    course: Any = SimpleNamespace(speed=100.0, cruise_velocity=250.0)
+    plan: Any = Changeover._plan(changeover, course, ahead, 1000.0)
+    assert plan.shape.rise == pytest.approx(rise)

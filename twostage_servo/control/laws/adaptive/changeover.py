@@ -124,7 +124,9 @@ class Changeover:
         model, step = self._estimate.model, self._largest_step
         gain = abs(model.plant.gain)
         if self._smoothing is None:
-            shape = Shape.at(ahead, course.speed, course.cruise_velocity, deceleration, gain, step, model.ways)
+            # What drives the axis may take the reference along, by more than it would ever rise by itself.
+            before = max(course.speed, ahead - self._acceleration_limit * self._period_s)
+            shape = Shape.at(ahead, before, course.cruise_velocity, deceleration, gain, step, model.ways)
             return _Plan(shape, deceleration)
         slope, jerk_step = ahead - course.speed, self._smoothing.step(gain)
         deceleration = self._smoothing.deceleration(ahead, slope, jerk_step, deceleration, self._period_s)
