@@ -146,3 +146,15 @@ def test_a_short_move_takes_as_long_as_its_triangle() -> None:
     ramps = 0.5 * 30.0 / rising + 0.5 * 30.0 / braking
     assert made.move_duration_s(1.0, 30.0, 0.1) == pytest.approx(0.9 / 30.0 + ramps + after)
     assert made.move_duration_s(0.05, 30.0, 0.1) == pytest.approx(3.0 * PERIOD_S)
+
+
+def test_only_the_position_stage_feeds_the_position_back() -> None:
+    made = design(task())
+    loops, gains = made.loops(), made.gains()
+    assert list(loops) == ["speed", "position", "unknown_speed", "unknown_position", "brake"]
+    fed_back = {name: -loop.controller.c[0][0] for name, loop in loops.items() if loop.controller is not None}
+    assert fed_back["position"] == pytest.approx(gains["f1"])
+    assert 0.0 < fed_back["unknown_position"] < gains["f1"]
+    assert [fed_back[name] for name in ("speed", "unknown_speed", "brake")] == [0.0, 0.0, 0.0]
+    poles = {name: abs(loop.poles[0]) for name, loop in loops.items()}
+    assert poles["position"] < poles["unknown_position"] < 1.0

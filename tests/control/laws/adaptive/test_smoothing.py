@@ -368,10 +368,14 @@ def test_both_kinds_of_an_s_curve_meet_where_it_just_gets_to_the_slope_of_the_ra
     assert at == pytest.approx(2000.0 / 17_000.0)
 
 
-@pytest.mark.parametrize(("slope", "fallen"), [(3.0, 0.0), (0.0, 0.0), (-1.8, 1.0), (-6.3, 3.5)])
-def test_a_braking_goes_on_with_the_slope_that_there_is(slope: float, fallen: float) -> None:
-    """Planned with 0.9 of 2 mm/s a tick: a slope of -1.8 mm/s is that of a tick of it."""
-    assert SmoothShape.at(100.0, slope, 1000.0, 2.0, WAYS).fallen == pytest.approx(fallen)
+@pytest.mark.parametrize(
+    ("slope", "runs", "fallen"),
+    [(3.0, 2, 0.0), (2.0, 1, 0.0), (0.5, 1, 0.0), (0.0, 0, 0.0), (-1.8, 0, 1.0), (-6.3, 0, 3.5)],
+)
+def test_a_braking_goes_on_with_the_slope_that_there_is(slope: float, runs: int, fallen: float) -> None:
+    """Planned with 0.9 of 2 mm/s a tick: a slope of -1.8 mm/s is that of a tick of it. A rise runs out by 2 mm/s."""
+    shape = SmoothShape.at(100.0, slope, 1000.0, 2.0, WAYS)
+    assert (shape.runs, shape.fallen) == (runs, pytest.approx(fallen))
 
 
 @pytest.mark.parametrize(
