@@ -135,3 +135,13 @@ def test_where_a_sample_is_lost_it_goes_on_with_the_plant_that_it_has_found() ->
             assert fit.position == pytest.approx(sample, abs=0.05)
     assert fit.samples == 33
     assert fit.gain == pytest.approx(axis.gain, rel=0.02)
+
+
+@pytest.mark.parametrize(("sample", "evidence"), [(0.02, 2.0), (-0.02, 2.0), (0.0, 0.0), (0.1, 50.0)])
+def test_a_sample_before_a_late_effort_has_acted_speaks_against_it_by_the_noise_that_it_would_be(
+    sample: float, evidence: float
+) -> None:
+    """Half of its square in the variance of a sample, here of 0.01 mm."""
+    fit = Fit(PRIOR, SPREAD, PERIOD_S)
+    fit.begin_late(sample)
+    assert fit.evidence == pytest.approx(evidence)
