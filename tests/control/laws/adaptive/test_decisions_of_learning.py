@@ -81,7 +81,7 @@ def test_a_move_that_leaves_an_obstacle_goes_on_at_the_speed_that_it_has_then(
 ) -> None:
     model = SimpleNamespace(plant=CONFIGURED)
     estimate: Any = SimpleNamespace(position=0.0, velocity=direction * velocity, spread=0.1, model=model)
-    departure = Departure(estimate, 0.01)
+    departure = Departure(estimate, 0.01, 0.01)
     departure.set_out(5.0, leaves_obstacle=True)
     course: Any = SimpleNamespace(direction=direction, speed=0.0)
     assert departure.release(course, 5.0 + direction * 0.29, direction * -24.0, 24.0) == pytest.approx(

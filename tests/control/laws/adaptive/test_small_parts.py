@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twostage_servo.control.laws.adaptive.changeover import Changeover, _Plan
+from twostage_servo.control.laws.adaptive.departure import Departure
 from twostage_servo.control.laws.adaptive.reference import Shape, Ways
 from twostage_servo.control.laws.adaptive.speed_stage import SpeedStage
 
@@ -269,3 +270,30 @@ def test_a_braking_is_planned_from_no_steeper_rise_than_the_reference_has_by_its
     course: Any = SimpleNamespace(speed=100.0, cruise_velocity=250.0)
     plan: Any = Changeover._plan(changeover, course, ahead, 1000.0)
     assert plan.shape.rise == pytest.approx(rise)
+
+
+@pytest.mark.parametrize(
+    ("tick", "rise", "sample", "wanted", "effort"),
+    [
+        (1, 20.0, 5.0, 24.0, 2.0 + 10.0 + 3.36),  # 20 mm/s over coasting at 2 mm/s a volt, and 14 % of 24 V
+        (4, -20.0, 5.0, -24.0, 2.0 - 10.0 - 3.36),
+        (4, 20.0, 5.0, 9.0, 9.0),
+        (5, 20.0, 5.0, 24.0, 2.0 + 3.36),  # by now it would have been seen to move
+        (5, 20.0, None, 24.0, 2.0 + 10.0 + 3.36),  # a sample that is lost shows nothing
+        (5, 20.0, 5.31, 24.0, 24.0),  # it is: three standard deviations of 0.1 mm
+        (5, 20.0, 4.69, 24.0, 24.0),
+        (15, 20.0, 5.0, 24.0, 2.0 + 3.36),
+        (16, 20.0, 5.0, 24.0, 24.0),  # 0.15 s later a stall is detected, or there is friction that takes more
+    ],
+)
+def test_an_axis_that_is_not_seen_to_move_is_pushed_by_little_once_it_should_have_been(
+    tick: int, rise: float, sample: float | None, wanted: float, effort: float
+) -> None:
+    estimate: Any = SimpleNamespace(spread=0.1, model=SimpleNamespace(sampled=SimpleNamespace(b2=2.0)))
+    departure = Departure(estimate, 0.01, 0.01)
+    departure.set_out(5.0)
+    departure.hold(2.0)
+    for _ in range(tick - 1):
+        departure.held_back(wanted, rise, 5.0, 24.0)
+    assert departure.held_back(wanted, rise, sample, 24.0) == pytest.approx(effort)
+    assert departure.is_held is (effort != wanted or tick == 4)

@@ -4,7 +4,7 @@ An axis that does not move yet may be stuck, or may press against an obstacle. F
 and all of it would act at once when the axis comes free.
 """
 
-from math import copysign
+from math import ceil, copysign
 from typing import Final
 
 from twostage_servo.control.laws.adaptive.course import Course
@@ -15,6 +15,11 @@ _MOTION: Final = 3.0
 
 _HELD_SHARE: Final = 0.14
 """Share of the effort limit that feedback may add until then: three times the load that is expected at most."""
+
+_UNSEEN_TICKS: Final = 4.0
+"""Samples, each a tick of the loops after the other, in which an axis shows that it moves: two until the first effort
+can be seen, one for a delay, one for friction. After them an axis that is stuck, or whose encoder is, is pushed by no
+more than what tells a stall."""
 
 _LONGEST_HELD_S: Final = 0.15
 """Time after which it may add more in any case: by then a stall is detected, or there is friction that takes more."""
@@ -30,8 +35,8 @@ class Departure:
     ----------
     estimate
         What the law controls by.
-    period_s
-        The tick, in s.
+    period_s, loop_period_s
+        The tick, and that of the loops, in s.
     holds_back
         Whether it holds back anything.
 
@@ -46,14 +51,17 @@ class Departure:
     """
 
     __slots__ = (
-        "_estimate", "_held_effort", "_holds_back", "_period_s", "_ticks_held", "is_held", "leaves_obstacle",
-        "position",
+        "_estimate", "_held_effort", "_holds_back", "_period_s", "_samples_held", "_ticks_held", "_unseen_ticks",
+        "is_held", "leaves_obstacle", "position",
     )  # fmt: skip
 
-    def __init__(self, estimate: ControlEstimate, period_s: float, *, holds_back: bool = True) -> None:
+    def __init__(
+        self, estimate: ControlEstimate, period_s: float, loop_period_s: float, *, holds_back: bool = True
+    ) -> None:
         self._estimate = estimate
         self._holds_back = holds_back
         self._period_s = period_s
+        self._unseen_ticks = ceil(_UNSEEN_TICKS * loop_period_s / period_s)
         self.position = 0.0
         self.clear()
 
@@ -61,7 +69,7 @@ class Departure:
         """Hold nothing back."""
         self.leaves_obstacle = self.is_held = False
         self._held_effort = 0.0
-        self._ticks_held = 0
+        self._ticks_held = self._samples_held = 0
 
     def set_out(self, position: float, *, leaves_obstacle: bool = False) -> None:
         """Set out from a position, in axis unit."""
@@ -72,7 +80,7 @@ class Departure:
         """Hold back the effort around the one that has held the axis at rest so far, in effort unit."""
         self.is_held = self._holds_back
         self._held_effort = effort
-        self._ticks_held = 0
+        self._ticks_held = self._samples_held = 0
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
@@ -108,15 +116,18 @@ class Departure:
         wanted, limit
             What the stage asks for, and the largest magnitude of an effort, in effort unit.
         rise
-            By how much the speed reference rises over coasting, in axis unit/s: its effort is not held back.
+            By how much the speed reference rises over coasting, in axis unit/s: its effort is not held back as long as
+            it cannot have shown.
         sample
             The measured position in axis unit, None if there is none.
         """
         estimate, plant = self._estimate, self._estimate.model.sampled
         self._ticks_held += 1
+        self._samples_held += sample is not None
         moves = sample is not None and abs(sample - self.position) > _MOTION * estimate.spread
         if moves or self._ticks_held * self._period_s > _LONGEST_HELD_S:
             self.is_held = False
             return wanted
-        most = abs(rise / plant.b2) + _HELD_SHARE * limit
+        planned = abs(rise / plant.b2) if self._samples_held <= self._unseen_ticks else 0.0
+        most = planned + _HELD_SHARE * limit
         return min(max(wanted, self._held_effort - most), self._held_effort + most)

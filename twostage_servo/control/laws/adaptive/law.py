@@ -23,7 +23,7 @@ from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.departure import Departure
 from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
 from twostage_servo.control.laws.adaptive.position_stage import PositionStage
-from twostage_servo.control.laws.adaptive.rules import Rules
+from twostage_servo.control.laws.adaptive.rules import Rules, loop_period_s
 from twostage_servo.control.laws.adaptive.speed_stage import SpeedStage
 from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask, Learned, Stage
@@ -77,7 +77,7 @@ class AdaptiveLaw:
             task.sampled, task.period_s, effort_rate_limit=task.effort_rate_limit, rest_velocity=task.rest_velocity
         )
         self._estimate = estimate
-        self._departure = Departure(estimate, task.period_s, holds_back=rules.holds_back)
+        self._departure = Departure(estimate, task.period_s, loop_period_s(task), holds_back=rules.holds_back)
         self._speed_stage = SpeedStage(estimate, self._departure, task, rules)
         self._position_stage = PositionStage(estimate, task, rules)
         self._largest_step = task.effort_rate_limit * task.period_s
