@@ -1,6 +1,7 @@
 """The mutation testing chooses what it tries the same every time, and goes on from what it has kept."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -13,9 +14,10 @@ from tools.mutation.reach import OUTPUT, KeptReach, Reach, let_functions_tell
 from tools.mutation.results import KeptResults, digest, in_order, share_of, with_status
 from tools.mutation.rooms import ROOMS, Room, files_of, paths_of_tests
 from tools.mutation.run import arguments, make_plan, share
-from tools.mutation.summary import as_far_as_tried, summarise
+from tools.mutation.summary import as_far_as_tried, reasons, summarise
 from tools.mutation.trees import TREE, environment
 
+PACKAGE = TREE / "twostage_servo"
 KEYS = [f"service.loop:f{number}: - a + b" for number in range(1000)]
 
 
@@ -318,3 +320,17 @@ def test_the_tests_that_bear_the_name_go_first_then_the_quickest_as_long_as_ther
         slow,
     ]  # outside functions: all of the file's
     assert reach.chosen("service/authority.py", "in_another_process", 100.0) == [named, quick, slow]
+
+
+def test_each_reason_is_about_code_that_is_there() -> None:
+    """The line that a mutant changes stands in its module; signs between the lines of a change are in lines as well."""
+    gone = []
+    for key in reasons():
+        module, _, change = key.split(":", 2)
+        path = PACKAGE / f"{module.replace('.', '/')}.py"
+        source = " ".join(path.read_text(encoding="utf-8").split()) if path.exists() else ""
+        removed = " ".join(change.split()).removeprefix("- ")
+        ends = [at.start() for at in re.finditer(r" [-+] ", removed)]
+        if not any(removed[:end] in source for end in ends):
+            gone.append(key)
+    assert gone == []
