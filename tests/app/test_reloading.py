@@ -12,9 +12,10 @@ from typing import Any
 import pytest
 import structlog
 
+from tests.demo_file import DEMO, LAW_OF_THE_DEMO
 from tests.laws_of_others import cascade
 from tests.service.rig import World, simulate
-from tests.service.test_reload import DEMO, change
+from tests.service.test_reload import change
 from twostage_servo.api.requests import ReloadRequest
 from twostage_servo.app import assembly
 from twostage_servo.app import reloading as module
@@ -49,7 +50,7 @@ def reloading(world: World, file: Path, carry_out: Callable[[Job], Prepared] = p
 
 @pytest.mark.parametrize("law", ["paper", "adaptive"])
 def test_a_process_of_its_own_does_the_same_as_this_one(file: Path, law: str) -> None:
-    change(file, "[axis.law]\n", f'[axis.law]\ntype = "{law}"\n')
+    change(file, LAW_OF_THE_DEMO, f'[axis.law]\ntype = "{law}"\n')
 
     async def script(world: World) -> tuple[Prepared, Prepared]:
         job = Job(
@@ -107,7 +108,7 @@ def test_a_process_that_fails_changes_nothing(file: Path) -> None:
 
 
 def rewrite(file: Path, law: str) -> None:
-    file.write_text(DEMO.replace("[axis.law]\n", law), encoding="utf-8")
+    file.write_text(DEMO.replace(LAW_OF_THE_DEMO, law), encoding="utf-8")
 
 
 @pytest.mark.usefixtures("cascade")
@@ -143,7 +144,7 @@ def test_a_design_that_cannot_be_sent_is_made_again_outside_the_loop(
 def test_a_law_that_fails_is_told_with_its_own_error_and_the_file_is_not_blamed(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    change(file, "[axis.law]\n", '[axis.law]\ntype = "cascade"\n')
+    change(file, LAW_OF_THE_DEMO, '[axis.law]\ntype = "cascade"\n')
 
     def broken(*_: Any) -> TrackingDesign:
         raise ZeroDivisionError("no plant without a gain")

@@ -31,7 +31,7 @@ def test_a_former_name_means_the_same_and_is_noted_with_its_line(demo_with: Call
     loaded = load(path)
     assert (loaded.config.realtime.busy_wait, loaded.config.realtime.output_offset) == ("off", 120.0)
     last = len(path.read_text(encoding="utf-8").splitlines())
-    assert [str(one) for one in loaded.renamed] == [
+    assert [str(one) for one in loaded.notes] == [
         f"{path}:{last - 1}: realtime.spin: is now called realtime.busy_wait; the former name works until 1.0",
         f"{path}:{last}: realtime.send_at: is now called realtime.output_offset; the former name works until 1.0",
     ]
@@ -47,12 +47,12 @@ def test_a_limit_may_have_its_former_name(tmp_path: Path, former: str, present: 
     path.write_text(text.replace(f"\n{present} = ", f"\n{former} = "), encoding="utf-8")
     loaded = load(path)
     assert loaded.config == load(CONFIGURATIONS / "demo.toml").config
-    (note,) = loaded.renamed
+    (note,) = loaded.notes
     assert f"axis.limits.{former}: is now called axis.limits.{present};" in str(note)
 
 
 def test_present_names_are_not_noted(demo_with: Callable[[str], Path]) -> None:
-    assert load(demo_with('\n[realtime]\nbusy_wait = "off"\n')).renamed == ()
+    assert load(demo_with('\n[realtime]\nbusy_wait = "off"\n')).notes == ()
 
 
 def test_a_value_under_a_former_name_is_refused_at_its_line(demo_with: Callable[[str], Path]) -> None:
@@ -72,7 +72,7 @@ def test_both_names_in_one_file_are_refused_with_both_lines(demo_with: Callable[
 def test_an_argument_may_have_a_former_name_and_goes_before_the_file(demo_with: Callable[[str], Path]) -> None:
     loaded = load(demo_with('\n[realtime]\nbusy_wait = "auto"\n'), ["realtime.spin=50.0"])
     assert loaded.config.realtime.busy_wait == 50.0
-    (note,) = loaded.renamed
+    (note,) = loaded.notes
     assert str(note).startswith("--set realtime.spin=50.0: realtime.spin: is now called realtime.busy_wait;")
 
 
@@ -86,7 +86,7 @@ def test_a_machine_notes_those_of_its_axes_as_well(tmp_path: Path) -> None:
     )
     machine = load_machine(path, ["realtime.send_at=off", "y:realtime.send_at=off"])
     assert machine.fault_reaction == "disarm"
-    assert [one.key for one in machine.renamed] == ["machine.when_one_trips", "realtime.send_at", "realtime.send_at"]
+    assert [one.key for one in machine.notes] == ["machine.when_one_trips", "realtime.send_at", "realtime.send_at"]
 
 
 def test_check_notes_them_on_stderr_and_ends_well(

@@ -11,10 +11,11 @@ from typing import Any
 import pytest
 import structlog
 
+from tests.demo_file import DEMO, LAW_OF_THE_DEMO
 from tests.service.rig import World, simulate
 from tests.service.test_reload import change, reloading
 from tests.service.test_request_handler import Client
-from tests.service.test_several_axes import DEMO, Plant, axis_page, machine_file, operate
+from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
 from twostage_servo.api.requests import ForgetRequest
 from twostage_servo.api.status import Status
 from twostage_servo.app.build import build_requests
@@ -306,7 +307,7 @@ def test_a_configuration_that_is_read_again_keeps_the_file_and_a_trip_then_erase
     tmp_path: Path, key: str, moves_after: int
 ) -> None:
     config, folder = tmp_path / "axis.toml", tmp_path / "state"
-    config.write_text(DEMO.replace("[axis.law]\n", '[axis.law]\ntype = "adaptive"\nmemory = "file"\n'), "utf-8")
+    config.write_text(DEMO.replace(LAW_OF_THE_DEMO, '[axis.law]\ntype = "adaptive"\nmemory = "file"\n'), "utf-8")
 
     async def script(world: World) -> None:
         await one_move(world)
@@ -327,7 +328,7 @@ def test_a_configuration_that_is_read_again_keeps_the_file_and_a_trip_then_erase
 
 def test_two_axes_keep_what_is_their_own(tmp_path: Path) -> None:
     law = '[axis.law]\ntype = "adaptive"\nmemory = "file"\n'
-    page = DEMO.replace("[axis.law]\n", law)
+    page = DEMO.replace(LAW_OF_THE_DEMO, law)
     assert page != DEMO
     pages = {"x": axis_page("x", "can0", page=page), "y": axis_page("y", "can1", page=page)}
     head, _, simulation = pages["y"].partition("[simulation]")

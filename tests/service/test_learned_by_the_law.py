@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.demo_file import DEMO, LAW_OF_THE_DEMO
 from tests.service.rig import World, simulate
-from tests.service.test_several_axes import DEMO, Plant, axis_page, machine_file, operate
+from tests.service.test_several_axes import Plant, axis_page, machine_file, operate
 from twostage_servo.api.requests import ForgetRequest
 from twostage_servo.api.status import AxisReport, Status
 from twostage_servo.axis.refusals import Refused
@@ -64,7 +65,7 @@ def test_only_who_commands_may_erase_it() -> None:
 
 def test_the_status_tells_of_a_plant_of_another_form(tmp_path: Path) -> None:
     """A resonance at 15 Hz: also after a trip, which erases what was learned."""
-    page = DEMO.replace("[axis.law]\n", '[axis.law]\ntype = "adaptive"\n')
+    page = DEMO.replace(LAW_OF_THE_DEMO, '[axis.law]\ntype = "adaptive"\n')
     page = page.replace("[simulation]", "[simulation]\nresonance_hz = 15.0\nresonance_damping = 0.05")
 
     async def script(plant: Plant) -> None:
@@ -88,8 +89,8 @@ def test_the_status_tells_of_a_plant_of_another_form(tmp_path: Path) -> None:
 
 
 def test_of_several_axes_those_forget_that_have_learned_all_or_none(tmp_path: Path) -> None:
-    adaptive = DEMO.replace("[axis.law]\n", '[axis.law]\ntype = "adaptive"\n')
-    paper = DEMO.replace("[axis.law]\n", '[axis.law]\ntype = "paper"\n')
+    adaptive = DEMO.replace(LAW_OF_THE_DEMO, '[axis.law]\ntype = "adaptive"\n')
+    paper = DEMO.replace(LAW_OF_THE_DEMO, '[axis.law]\ntype = "paper"\n')
     pages = {"x": axis_page("x", "can0", page=adaptive), "y": axis_page("y", "can1", page=adaptive)}
     pages["z"] = axis_page("z", "can2", page=paper)
 

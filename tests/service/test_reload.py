@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.demo_file import DEMO
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
 from twostage_servo.app.assembly import prepare_axes
@@ -24,7 +25,6 @@ from twostage_servo.drives.protocol_error import ProtocolError
 from twostage_servo.service.reload import Change
 
 RELOAD = ReloadRequest()
-DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")
 
 
 @pytest.fixture

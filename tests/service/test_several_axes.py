@@ -11,6 +11,7 @@ import can
 import pytest
 import structlog
 
+from tests.demo_file import DEMO
 from twostage_servo.api.request_reading import read_request
 from twostage_servo.app.assembly import prepare_axes
 from twostage_servo.app.build import build_parts, replace_axes, traits_of
@@ -29,7 +30,6 @@ from twostage_servo.simulation.bus import Wire
 from twostage_servo.simulation.drive import SimulatedDrive
 from twostage_servo.timing.virtual_clock import run
 
-DEMO = shipped_configuration("demo.toml").read_text(encoding="utf-8")
 EXAMPLE_2 = shipped_configuration("example2.toml").read_text(encoding="utf-8")
 
 

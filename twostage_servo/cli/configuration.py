@@ -57,7 +57,7 @@ def load_configuration(options: argparse.Namespace, defaults: "Sequence[str]" = 
 def load_machine(options: argparse.Namespace, defaults: "Sequence[str]" = (), file: str | None = None) -> "Machine":
     """Load what the options name: the configuration of an axis, or of a machine of several.
 
-    Keys under a former name are told on stderr, with the present one.
+    What is valid and yet to be told, such as a key under a former name, is told on stderr.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def load_machine(options: argparse.Namespace, defaults: "Sequence[str]" = (), fi
         loaded = machine.load_machine(
             find_configuration(options.config if file is None else Path(file)), [*defaults, *options.overrides]
         )
-    for one in loaded.renamed:
+    for one in loaded.notes:
         note(f"note: {one}")
     return loaded
 

@@ -4,7 +4,7 @@ The settings themselves, with units and bounds, are declared in the room that us
 """
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -52,14 +52,15 @@ class LoadedConfig(Generic[ModelT]):
         The file as it was named; ``demo.toml (built in)`` for the embedded one.
     folder
         Folder of the file, to which the paths in it are relative.
-    renamed
-        What stands there, or among the arguments, under a former name: each with its place and the present name.
+    notes
+        What is valid, and yet to be told: what stands there, or among the arguments, under a former name, with the
+        present one; and an axis whose law has no type.
     """
 
     config: ModelT
     source: str
     folder: Path
-    renamed: tuple[Problem, ...]
+    notes: tuple[Problem, ...]
     _document: Document = field(repr=False)
 
     def problem(self, key: Sequence[str | int], message: str) -> ConfigError:
@@ -129,7 +130,18 @@ def validated(model: type[ModelT], file: TomlFile, overrides: Sequence[str] = ()
     if problems:
         raise ConfigError(problems)
     renamed = (*present.notes, *(note_of(one) for one in document.overrides if one.named != one.path))
-    return LoadedConfig(config, file.source, file.folder, renamed, document)
+    notes = (*renamed, *_note_of_the_law(config, document))
+    return LoadedConfig(config, file.source, file.folder, notes, document)
+
+
+def _note_of_the_law(config: Settings, document: Document) -> Iterator[Problem]:
+    """Yield a note of an axis whose law has no type: no machine moves otherwise after an upgrade, unless asked to."""
+    if isinstance(config, Config) and "type" not in config.axis.law.model_fields_set:
+        yield document.problem(
+            ("axis", "law", "type"),
+            f'is not set, so the axis keeps the law "{config.axis.law.type}"; type = "adaptive" settles sooner and '
+            f'overshoots less (docs/adaptive-law.md), and type = "{config.axis.law.type}" ends this note',
+        )
 
 
 def described(model: type[Settings], data: Mapping[str, Any]) -> type[Settings]:

@@ -103,10 +103,10 @@ class Machine:
         return replace(self, axes=tuple(changed if loaded is former else loaded for loaded in self.axes))
 
     @property
-    def renamed(self) -> list[Problem]:
-        """What stands under a former name in any of the files; see :class:`LoadedConfig`."""
+    def notes(self) -> list[Problem]:
+        """What is to be told of any of the files; see :class:`LoadedConfig`."""
         files = [self._file, *(loaded for loaded in self.axes if loaded is not self._file)]
-        return [one for file in files for one in file.renamed]
+        return [one for file in files for one in file.notes]
 
     def problem(self, key: Sequence[str | int], message: str) -> ConfigError:
         """Make an error of what was noticed only after loading; see :meth:`LoadedConfig.problem`."""
