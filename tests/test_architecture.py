@@ -34,6 +34,20 @@ def test_the_rooms_are_those_of_the_contract_in_their_order() -> None:
     assert [cells[0].strip("`") for cells in rows("Rooms")] == [layer.strip("()") for layer in layers]
 
 
+def test_the_small_modules_are_those_that_the_contract_leaves_out() -> None:
+    (left_out,) = [contract["exhaustive_ignores"] for contract in CONTRACTS if contract["id"] == "rooms"]
+    sentence = PAGE.partition("Beside the rooms stand small modules")[2].partition(". `import")[0]
+    assert sorted(re.findall(r"`(\w+)`", sentence)) == sorted(left_out)
+
+
+def test_each_group_of_verbs_is_held_apart_from_the_others() -> None:
+    (modules,) = [contract["modules"] for contract in CONTRACTS if contract["id"] == "independent-verbs"]
+    verbs = [
+        path.stem for path in (ROOT / "twostage_servo" / "cli").glob("*.py") if "def add_verbs(" in path.read_text()
+    ]
+    assert sorted(modules) == sorted(f"twostage_servo.cli.{name}" for name in verbs)
+
+
 def test_each_of_ten_changes_names_a_place() -> None:
     changes = rows("Where a change belongs")
     assert len(changes) == 10
