@@ -1,5 +1,6 @@
 """What an axis' law has learned: how long it is kept, and what makes it forget."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from tests.axis.rig import DEMO, PERIOD_S, TRAITS, AxisRig
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
+from twostage_servo.axis.learned_plant import LearnedPlant
 from twostage_servo.axis.refusals import RefusalCode, Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
@@ -161,3 +163,20 @@ def test_a_learned_load_that_friction_explains_is_kept() -> None:
     rig.axis.move_to(5.0, 50.0)
     rig.tick()
     assert learned(rig).load == (1.5, 1.5)
+
+
+def test_the_model_monitor_is_told_of_a_plant_once() -> None:
+    axis = axis_of()
+    told: list[object] = []
+    monitor: Any = SimpleNamespace(
+        accept=lambda plant, estimate, is_late: told.append((plant, estimate, is_late)),
+        forget_identified=lambda: told.append(None),
+    )
+    law: Any = SimpleNamespace(identified=None, plant_estimate="estimate", learned=SimpleNamespace(delay_ticks=1))
+    plant = LearnedPlant(axis.design, axis.law)
+    plant._law = law
+    plant.tell(monitor)
+    found = Plant(200.0, 12.0)
+    for law.identified in (found, found, found, None, None):
+        plant.tell(monitor)
+    assert told == [(found, "estimate", True), None]

@@ -506,3 +506,25 @@ def test_the_model_is_judged_by_the_speed_of_late_which_fades_in_5_s() -> None:
     bench.motion.start()
     bench.step(bench.observer.position)
     assert told[2][2] == pytest.approx(abs(bench.observer.velocity))
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "velocity", "stage", "blind", "cannot"),
+    [
+        # Of 34 V at 100 mm/s friction that the model lacks is 8 V: 26 V remain at rest, and a stop may give 24.
+        (34.0, 100.0, Stage.BRAKE, True, True),
+        (31.0, 100.0, Stage.BRAKE, True, False),
+        (-34.0, 100.0, Stage.BRAKE, True, False),  # a load that slows it down
+        (-34.0, -100.0, Stage.BRAKE, True, True),
+        (34.0, 100.0, Stage.BRAKE, False, False),  # the encoder is believed
+        (34.0, 100.0, Stage.POSITION, True, False),
+    ],
+)
+def test_a_load_that_pushes_on_by_more_than_a_stop_may_give(
+    disturbance: float, velocity: float, stage: Stage, blind: bool, cannot: bool
+) -> None:
+    law = SimpleNamespace(
+        stage=stage, effort_limit=24.0, observer=SimpleNamespace(disturbance=disturbance, velocity=velocity)
+    )
+    motion: Any = SimpleNamespace(law=law, blind=blind, _friction=0.08, _gain=180.0)
+    assert Motion.cannot_stop.fget(motion) is cannot  # type: ignore[attr-defined]  # a property of the class
