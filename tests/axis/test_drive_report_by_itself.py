@@ -2,8 +2,11 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from tests.axis.rig import PERIOD_S, axis_settings
 from twostage_servo.axis.drive_report import DriveReport
@@ -451,3 +454,34 @@ def test_each_input_of_a_drive_is_that_input_of_the_report(*, at_once: bool) -> 
         drive.begin_tick(0)
         drive.accept_feedback(Feedback(12.5, 7, None, None, None, None, **given))
         assert {one: getattr(drive, one) for one in names} == given
+
+
+SIGNALS = ("safe_torque_off", "positive_limit", "negative_limit", "home_switch")
+
+
+@given(
+    st.lists(
+        st.fixed_dictionaries(
+            {
+                "enabled": st.booleans(),
+                "fault": st.booleans(),
+                "fault_code": st.sampled_from([None, 0, 3, 5]),
+                **dict.fromkeys(SIGNALS, st.booleans()),
+            }
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_of_several_frames_in_a_tick_whatever_is_wrong_in_any_of_them_counts(frames: list[dict[str, Any]]) -> None:
+    drive = report()
+    seen(drive, 0.0, 0, enabled=True, fault=True, home_switch=True)  # of the tick before, which counts no more
+    drive.begin_tick(0)
+    for counter, frame in enumerate(frames, 1):
+        drive.accept_feedback(Feedback(1.0, counter, **frame))
+    assert drive.enabled is all(frame["enabled"] for frame in frames)
+    assert drive.faulted is any(frame["fault"] for frame in frames)
+    told = [frame["fault_code"] or 0 for frame in frames if frame["fault"]]
+    assert drive.fault_code == (told[0] if told else None)
+    for name in SIGNALS:
+        assert getattr(drive, name) is any(frame[name] for frame in frames)
