@@ -2,6 +2,7 @@
 
 import math
 import statistics
+from collections import deque
 from random import Random
 from types import SimpleNamespace
 from typing import Any
@@ -528,3 +529,19 @@ def test_a_load_that_pushes_on_by_more_than_a_stop_may_give(
     )
     motion: Any = SimpleNamespace(law=law, blind=blind, _friction=0.08, _gain=180.0)
     assert Motion.cannot_stop.fget(motion) is cannot  # type: ignore[attr-defined]  # a property of the class
+
+
+def test_another_origin_moves_all_that_a_motion_remembers_of_positions() -> None:
+    moved: list[float] = []
+    part = SimpleNamespace(shift=moved.append)
+    motion: Any = SimpleNamespace(
+        law=part, nominal=part, model_monitor=part, _tracking=part, _unchanged=(3.0, 1.5), _shown=4.0, _stands_at=5.0,
+        _recent=deque([1.0, 2.0], maxlen=5),
+    )  # fmt: skip
+    Motion.shift(motion, 100.0)
+    assert moved == [100.0] * 4
+    assert (motion._unchanged, motion._shown, motion._stands_at) == ((103.0, 1.5), 104.0, 105.0)
+    assert list(motion._recent) == [101.0, 102.0]
+    motion._unchanged = motion._shown = motion._stands_at = None
+    Motion.shift(motion, 100.0)
+    assert (motion._unchanged, motion._shown, motion._stands_at) == (None, None, None)

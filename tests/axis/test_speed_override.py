@@ -3,6 +3,7 @@
 import math
 import random
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.settings import AxisSettings
+from twostage_servo.axis.speed_override import SpeedOverride
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.law import Stage
@@ -457,3 +459,31 @@ def test_an_axis_that_is_not_armed_refuses_it_and_says_why() -> None:
     code, text = refusal()
     assert code == "tripped"
     assert text.startswith("the axis has tripped (following_error): test.")
+
+
+@pytest.mark.parametrize(
+    ("stage", "velocity", "is_there", "stops"),
+    [
+        (Stage.POSITION, 2.4, True, False),  # it rests where it should
+        (Stage.POSITION, 2.6, True, True),
+        (Stage.POSITION, -2.6, True, True),
+        (Stage.POSITION, 0.0, False, True),  # it would go on to its set-point
+        (Stage.SPEED, 0.0, True, True),
+        (Stage.BRAKE, 100.0, False, False),  # it comes to rest already
+    ],
+)
+def test_an_axis_that_is_to_hold_is_stopped_unless_it_rests_or_stops_already(
+    stage: Stage, velocity: float, is_there: bool, stops: bool
+) -> None:
+    stopped: list[tuple[float, bool]] = []
+    motion = SimpleNamespace(
+        law=SimpleNamespace(stage=stage, target=400.0, observer=SimpleNamespace(velocity=velocity)),
+        stop=lambda deceleration, smooth: stopped.append((deceleration, smooth)),
+    )
+    override: Any = SimpleNamespace(
+        _motion=motion, _rest_velocity=2.5, _acceleration=2000.0, _is_at=lambda target: is_there and target == 400.0
+    )
+    leg: Any = SimpleNamespace(target=400.0)
+    SpeedOverride._hold(override, leg)
+    assert override.kept_target == 400.0
+    assert stopped == [(2000.0, True)] * stops
