@@ -13,8 +13,3 @@ def servo_gains_of(design: AxisDesign) -> ServoGains:
     if isinstance(design.law, PaperDesign):
         return design.law.servo_gains
     return servo_gains(design.plant, design.settings.law.paper.performance_index_ratio)
-
-
-def follows_a_plan(design: AxisDesign) -> bool:
-    """Whether the law of an axis plans its efforts ahead; the paper's only feeds back."""
-    return not isinstance(design.law, PaperDesign)
