@@ -138,7 +138,7 @@ class Changeover:
         left = way - ways.alpha * ahead - shape.way
         if self._smoothing is not None and left < ways.beta * shape.speed:  # less than the tick in which it stops
             return True
-        return next_speed(left, shape.speed, deceleration, ways) < shape.speed - deceleration * self._period_s
+        return _ends_late(shape, left, deceleration, ways)
 
     def _highest_speed(self, course: Course, ahead: float, way: float, deceleration: float) -> float:
         """Return the highest speed a tick ahead from which it would, at most `ahead`."""
@@ -155,8 +155,9 @@ class Changeover:
         """Change over to the position stage; or come to rest and turn, if no braking meets the set-point any more."""
         speed, ways, (shape, deceleration) = course.speed, self._estimate.model.ways, plan
         hardest = min(_HARDEST / self._rules.braking_share * deceleration, self._acceleration_limit)
-        needed, most = _needed(shape, left), max(hardest, 2.0 * deceleration)
-        if self._smoothing is not None:  # what is steeper than planned has more jerk as well
+        if self._smoothing is None:
+            needed, most = _needed(shape, left), max(hardest, 2.0 * deceleration)
+        else:  # what is steeper than planned has more jerk as well
             needed, most = _needed_evenly(shape, left, ways), deceleration / BRAKING_SHARE
             if needed > most:
                 harder = self._plan(course, ahead, hardest)
@@ -187,6 +188,10 @@ def _needed_evenly(shape: BrakingShape, left: float, ways: Ways) -> float:
     low, high = 0.0, max(shape.speed, 0.0) / ways.period_s  # all of it in one tick
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        is_late = next_speed(left, shape.speed, middle, ways) < shape.speed - middle * ways.period_s
-        low, high = (middle, high) if is_late else (low, middle)
+        low, high = (middle, high) if _ends_late(shape, left, middle, ways) else (low, middle)
     return high
+
+
+def _ends_late(shape: BrakingShape, left: float, deceleration: float, ways: Ways) -> bool:
+    """Whether whole ticks with a deceleration (axis unit/s²) go farther than what is left (axis unit)."""
+    return next_speed(left, shape.speed, deceleration, ways) < shape.speed - deceleration * ways.period_s

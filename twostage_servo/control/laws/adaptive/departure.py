@@ -16,7 +16,7 @@ _MOTION: Final = 3.0
 _HELD_SHARE: Final = 0.14
 """Share of the effort limit that feedback may add until then: three times the load that is expected at most."""
 
-_UNSEEN_TICKS: Final = 4.0
+_UNSEEN_SAMPLES: Final = 4.0
 """Samples, each a tick of the loops after the other, in which an axis shows that it moves: two until the first effort
 can be seen, one for a delay, one for friction. After them an axis that is stuck, or whose encoder is, is pushed by no
 more than what tells a stall."""
@@ -51,7 +51,7 @@ class Departure:
     """
 
     __slots__ = (
-        "_estimate", "_held_effort", "_holds_back", "_period_s", "_samples_held", "_ticks_held", "_unseen_ticks",
+        "_estimate", "_held_effort", "_holds_back", "_period_s", "_samples_held", "_ticks_held", "_unseen_samples",
         "is_held", "leaves_obstacle", "position",
     )  # fmt: skip
 
@@ -61,7 +61,7 @@ class Departure:
         self._estimate = estimate
         self._holds_back = holds_back
         self._period_s = period_s
-        self._unseen_ticks = ceil(_UNSEEN_TICKS * loop_period_s / period_s)
+        self._unseen_samples = ceil(_UNSEEN_SAMPLES * loop_period_s / period_s)
         self.position = 0.0
         self.clear()
 
@@ -128,6 +128,6 @@ class Departure:
         if moves or self._ticks_held * self._period_s > _LONGEST_HELD_S:
             self.is_held = False
             return wanted
-        planned = abs(rise / plant.b2) if self._samples_held <= self._unseen_ticks else 0.0
+        planned = abs(rise / plant.b2) if self._samples_held <= self._unseen_samples else 0.0
         most = planned + _HELD_SHARE * limit
         return min(max(wanted, self._held_effort - most), self._held_effort + most)
