@@ -39,6 +39,19 @@ class LawSettings(Settings):
     )
     paper: PaperSettings = Field(PaperSettings(), description="The two-stage law of the paper")
 
+    @property
+    def unnamed(self) -> str:
+        """What is to be told of a table that names no type; empty where it does.
+
+        No machine moves otherwise after an upgrade, unless it is asked to.
+        """
+        if "type" in self.model_fields_set:
+            return ""
+        return (
+            f'is not set, so the axis keeps the law "{self.type}"; type = "adaptive" settles sooner and overshoots '
+            f'less (docs/adaptive-law.md), and type = "{self.type}" ends this note'
+        )
+
     @field_validator("type")
     @classmethod
     def _installed(cls, name: str) -> str:

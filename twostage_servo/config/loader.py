@@ -135,13 +135,9 @@ def validated(model: type[ModelT], file: TomlFile, overrides: Sequence[str] = ()
 
 
 def _note_of_the_law(config: Settings, document: Document) -> Iterator[Problem]:
-    """Yield a note of an axis whose law has no type: no machine moves otherwise after an upgrade, unless asked to."""
-    if isinstance(config, Config) and "type" not in config.axis.law.model_fields_set:
-        yield document.problem(
-            ("axis", "law", "type"),
-            f'is not set, so the axis keeps the law "{config.axis.law.type}"; type = "adaptive" settles sooner and '
-            f'overshoots less (docs/adaptive-law.md), and type = "{config.axis.law.type}" ends this note',
-        )
+    """Yield the note of an axis whose law has no type."""
+    if isinstance(config, Config) and (text := config.axis.law.unnamed):
+        yield document.problem(("axis", "law", "type"), text)
 
 
 def described(model: type[Settings], data: Mapping[str, Any]) -> type[Settings]:
