@@ -6,7 +6,7 @@ from functools import partial
 
 import pytest
 
-from tests.axis.rig import PERIOD_S, axis_settings
+from tests.axis.rig import PERIOD_S, AxisRig, axis_settings
 from twostage_servo.axis.admission import Admission
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.drive_report import DriveReport
@@ -181,3 +181,15 @@ def test_why_the_position_is_not_known_is_said_where_there_is_a_reason(because: 
     with pytest.raises(Refused) as refused:
         HERE.check_target(0.0, referenced=False, lost_because=because)
     assert str(refused.value).startswith(f"the axis does not know its position{said}: `home` it first")
+
+
+@pytest.mark.parametrize("percent", [0.0, 200.0, -0.1, 200.1, math.nan])
+def test_an_override_is_from_0_to_200_percent(percent: float) -> None:
+    rig = AxisRig().armed()
+    if 0.0 <= percent <= 200.0:
+        rig.axis.set_override(percent)
+        assert rig.axis.override_percent == percent
+        return
+    with pytest.raises(Refused, match="must be from 0, which holds the axis, to 200 %"):
+        rig.axis.set_override(percent)
+    assert rig.axis.override_percent == 100.0

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
-from twostage_servo.axis.disabled_drive import DisabledDriveWatch
+from twostage_servo.axis.disabled_drive import DisabledDriveWatch, MotionWhileDisabled
 from twostage_servo.axis.messages import Feedback, Reception
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import State
@@ -291,3 +291,30 @@ def test_a_drive_that_reports_less_often_has_no_more_time(every: int) -> None:
         watch.update(0, True if ticks % every == 0 else None, 0.0, 0.0)
         ticks += 1
     assert PATIENCE < ticks - 1 <= PATIENCE + every
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("ticks", [1, 2, 4])
+def test_the_speed_of_a_coasting_axis_is_that_at_the_first_of_two_samples(sign: float, ticks: int) -> None:
+    """It slows down in between: the second lies (1 - e^(-pole t))/pole of the speed farther."""
+    motion = MotionWhileDisabled(DESIGN, 0.0)
+    motion.begin(sign * 1.0)
+    assert motion.known.speed == 1.0
+    motion.update(0, 5.0)
+    assert (motion.known.samples, motion.known.ticks_since_last) == (1, 0)
+    for _ in range(ticks - 1):
+        motion.update(0, None)
+    assert (motion.known.ticks, motion.known.ticks_since_last) == (ticks, ticks - 1)
+    pole, elapsed_s = DESIGN.least_pole, ticks * PERIOD_S
+    motion.update(0, 5.0 + sign * 30.0 * (1.0 - math.exp(-pole * elapsed_s)) / pole)
+    assert motion.known.speed == pytest.approx(30.0)
+    assert motion.known.ticks == 0
+
+
+def test_missed_ticks_lie_between_two_samples_as_well() -> None:
+    motion = MotionWhileDisabled(DESIGN, 0.0)
+    motion.begin(0.0)
+    motion.update(0, 5.0)
+    motion.update(3, 6.0)
+    pole = DESIGN.least_pole
+    assert motion.known.speed == pytest.approx(pole / (1.0 - math.exp(-pole * 4 * PERIOD_S)))

@@ -13,6 +13,7 @@ from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import DesignError, design_axis
 from twostage_servo.axis.detection import (
     CHANGES,
+    _Run,
     allowed_travel,
     check_detection,
     detections,
@@ -507,6 +508,21 @@ def test_where_it_could_lie_for_ever_no_distance_can_be_stated() -> None:
     with pytest.raises(DesignError, match=r"after any distance.* 5 mm .*innovation_gate below 1\.25, the") as caught:
         check_detection(design)
     assert caught.value.key == ("axis", "limits", "position_overrun")
+
+
+def test_a_law_whose_own_cruise_looks_like_a_fault_is_refused_by_its_speed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The encoder of a healthy axis is reversed from the start on: it stands in for a law that no cruise follows."""
+    design = design_axis(axis_settings(), PERIOD_S)
+    built = _Run.__init__
+
+    def reversed_from_the_start(run: _Run, *given: Any) -> None:
+        built(run, *given)
+        run._factor = -1.0
+
+    monkeypatch.setattr(_Run, "__init__", reversed_from_the_start)
+    with pytest.raises(DesignError, match=r"an undisturbed cruise at \S+ mm/s looks like one with a faulty") as caught:
+        check_detection(design)
+    assert caught.value.key == ("axis", "law", "type")
 
 
 @pytest.mark.parametrize(("velocity", "most"), [(100.0, 7.8), (200.0, 19.5)])

@@ -1,5 +1,6 @@
 """What an axis' law has learned: how long it is kept, and what makes it forget."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -180,3 +181,15 @@ def test_the_model_monitor_is_told_of_a_plant_once() -> None:
     for law.identified in (found, found, found, None, None):
         plant.tell(monitor)
     assert told == [(found, "estimate", True), None]
+
+
+def test_another_set_point_on_the_way_is_the_same_move_to_a_law_that_forgets_between_moves() -> None:
+    rig = rig_of({"memory": "none"}).armed()
+    known = replace(learned(rig), gain=190.0, moves=7)
+    rig.axis.recall(known)
+    rig.axis.move_to(400.0, 100.0)
+    assert learned(rig).moves == 0
+    rig.seconds(0.5)
+    rig.axis.recall(known)
+    rig.axis.move_to(300.0, 100.0)
+    assert learned(rig).moves == 7

@@ -545,3 +545,9 @@ def test_another_origin_moves_all_that_a_motion_remembers_of_positions() -> None
     motion._unchanged = motion._shown = motion._stands_at = None
     Motion.shift(motion, 100.0)
     assert (motion._unchanged, motion._shown, motion._stands_at) == (None, None, None)
+
+
+@pytest.mark.parametrize(("factor", "moves"), [(1.0, False), (1.0 + 1e-12, True)])
+def test_a_difference_of_just_the_noise_of_two_samples_makes_no_speed(factor: float, moves: bool) -> None:
+    bench = Bench().track(0.0, factor * math.sqrt(2.0) * 0.1)
+    assert (bench.observer.velocity != 0.0) is moves

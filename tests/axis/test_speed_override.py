@@ -235,6 +235,7 @@ def test_between_moves_it_holds_for_the_next_one(law: str) -> None:
     rig.axis.set_override(0.0)
     assert rig.state() is State.HOLDING
     rig.axis.move_to(50.0, 100.0)
+    assert rig.axis.stage is Stage.POSITION  # at rest there is nothing to stop
     rig.seconds(5.0)
     assert outcome(rig) == "moving"
     assert rig.position == pytest.approx(0.0, abs=0.01)

@@ -154,6 +154,10 @@ def test_the_cause_names_what_is_wrong() -> None:
     for changes, words in (
         ({"model_monitor__better_factor": -1.0}, "mm; the sign of encoder or effort is wrong"),
         ({"model_monitor__better_factor": 0.5}, "mm; the scale of encoder or effort is wrong"),
+        (
+            {"model_monitor__better_factor": 0.0, "law__observer__position": 12.5, "model_monitor__surprise": 0.625},
+            "froze at 12.5 mm from one sample to the next: the model and plants like it have recently been off by 0.62",
+        ),
         ({"law__observer__velocity": 400.0}, "velocity is 400 mm/s; axis.limits.overspeed is 320"),
     ):
         causes = [

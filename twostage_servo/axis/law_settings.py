@@ -133,7 +133,7 @@ def _with_tables(names: tuple[str, ...]) -> type[LawSettings]:
 
 def _unpacked(tables: tuple[str, ...], state: dict[str, Any]) -> LawSettings:
     """Return the settings that were packed, of a law with these tables."""
-    kind = _with_tables(tables) if tables else LawSettings
+    kind = _with_tables(tables)
     settings = kind.__new__(kind)
     settings.__setstate__(state)
     return settings

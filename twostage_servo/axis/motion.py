@@ -191,7 +191,7 @@ class Motion:
     def step(self) -> float:
         """Run the law for a tick and return the effort in effort unit."""
         sample, before = self._believed_sample(), self._effort
-        if self._drive.fresh and not self.blind:
+        if self._drive.fresh:
             shown, self._shown = self._shown, self._drive.position
             self._stands = shown is not None and abs(shown - (self._shown or 0.0)) <= self._resolution
         lag = self._date.lag_periods

@@ -179,3 +179,8 @@ class Operation:
         self.deceleration = deceleration
         self._motion.stop(deceleration, smooth=smooth)
         self._supervision.begin_braking(deceleration, smooth=smooth)
+
+    def brake_anew(self) -> None:
+        """Go on braking after a trip, from another speed than the axis was thought to have."""
+        self._motion.stop(self.deceleration)
+        self._supervision.begin_braking(self.deceleration)

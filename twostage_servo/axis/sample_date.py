@@ -71,6 +71,5 @@ class SampleDate:
         In that time the speed may have changed by much, so that it would not do to go back by the present one.
         """
         place = max(0.0, len(self._path) - 1 - periods)
-        before = int(place)
-        after = min(before + 1, len(self._path) - 1)
-        return self._path[before] + (place - before) * (self._path[after] - self._path[before])
+        before = int(place)  # never the last: such a sample is of before the last tick that was missed
+        return self._path[before] + (place - before) * (self._path[before + 1] - self._path[before])

@@ -92,7 +92,7 @@ class TripLatch:
             self.trip = trip
         elif after is machine.state and not rule.while_disabled:
             if doubted:  # braking goes on, but from another speed
-                self._operation.brake(self._operation.deceleration, MoveOutcome.TRIPPED)
+                self._operation.brake_anew()
             return
         else:
             self.escalation = trip
