@@ -193,3 +193,16 @@ def test_an_override_is_from_0_to_200_percent(percent: float) -> None:
     with pytest.raises(Refused, match="must be from 0, which holds the axis, to 200 %"):
         rig.axis.set_override(percent)
     assert rig.axis.override_percent == 100.0
+
+
+def test_without_room_to_stop_in_the_overrun_no_place_outside_the_limits_may_be_told() -> None:
+    """From the speed that counts as rest an axis goes farther than 0.01 mm."""
+    narrow = design_axis(
+        axis_settings(position_minimum=-100.0, position_maximum=250.0, position_overrun=0.01), PERIOD_S
+    )
+    drive = DriveReport(narrow.settings, PERIOD_S, DriveTraits(counter_modulus=16))
+    drive.begin_tick(0)
+    drive.accept_feedback(Feedback(0.0, 1, enabled=False))
+    admission = Admission(narrow, drive)
+    assert code(lambda: admission.check_place(250.0, 0.0, 2.5)) is None
+    assert code(lambda: admission.check_place(250.001, 0.0, 2.5)) == "position_limit"

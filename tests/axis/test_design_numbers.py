@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from tests.axis.rig import DEMO, PERIOD_S, axis_settings, paper
-from twostage_servo.axis.design import AxisDesign, DesignError, design_axis
+from twostage_servo.axis.design import AxisDesign, DesignError, _place, design_axis
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.laws.margins import Margins
 from twostage_servo.control.laws.paper import TwoStageLaw
 from twostage_servo.control.laws.paper_margins import loop_margins
-from twostage_servo.control.laws.stop_design import StopDesign
+from twostage_servo.control.laws.stop_design import StopDesign, smoothing_time_s
 from twostage_servo.control.model_monitor.hypotheses import OTHER_GAINS
 from twostage_servo.control.observer import NO_CORRECTION
 from twostage_servo.control.plant import Plant
@@ -230,3 +230,33 @@ def test_each_stage_is_judged_by_its_own_loop(monkeypatch: pytest.MonkeyPatch, w
     monkeypatch.setattr("twostage_servo.control.laws.paper_design.loop_margins", fragile)
     with pytest.raises(DesignError, match=f"the {worst.name.lower()} stage would be fragile"):
         designed()
+
+
+@pytest.mark.parametrize(
+    ("law", "key", "place"),
+    [
+        ({"type": "paper"}, "performance_index_ratio", ("paper", "performance_index_ratio")),
+        ({"type": "paper", "performance_index_ratio": 2.0}, "performance_index_ratio", ("performance_index_ratio",)),
+        ({"type": "paper"}, "other", ("paper", "other")),
+        ({"type": "adaptive"}, "performance_index_ratio", ("adaptive", "performance_index_ratio")),
+    ],
+)
+def test_a_key_of_a_law_is_told_where_it_stands(law: dict[str, Any], key: str, place: tuple[str, ...]) -> None:
+    assert _place(AxisSettings.model_validate(DEMO | {"law": law}), (key,)) == place
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_stop_takes_longer_where_it_is_smoothed(smooth: bool) -> None:
+    """By hand, from 100 mm/s at 2000 mm/s² with 40,000 mm/s³: 50 ms rising, to 150 mm/s, and smoothed at its end."""
+    tables = {"law": {"type": "adaptive", "jerk": 40_000.0}}
+    design = design_axis(AxisSettings.model_validate(DEMO | tables), PERIOD_S)
+    plain = design.law.stopping_time_s(100.0, 2000.0)
+    if smooth:
+        fastest = 100.0 + 0.5 * 2000.0 * 0.05
+        smoothed = 0.05 + design.law.stopping_time_s(fastest, 2000.0) + smoothing_time_s(fastest, 2000.0, 40_000.0)
+        assert design.stopping_time_s(100.0, 2000.0, smooth=True) == pytest.approx(smoothed)
+        assert smoothed > plain + 0.05
+    else:
+        assert design.stopping_time_s(100.0, 2000.0) == plain
+        without = design_axis(AxisSettings.model_validate(DEMO | {"law": {"type": "adaptive"}}), PERIOD_S)
+        assert without.stopping_time_s(100.0, 2000.0, smooth=True) == pytest.approx(plain)

@@ -318,3 +318,22 @@ def test_missed_ticks_lie_between_two_samples_as_well() -> None:
     motion.update(3, 6.0)
     pole = DESIGN.least_pole
     assert motion.known.speed == pytest.approx(pole / (1.0 - math.exp(-pole * 4 * PERIOD_S)))
+
+
+@pytest.mark.parametrize(("told", "reported", "ticks", "silent"), [
+    (True, True, SILENCE, True), (True, True, SILENCE - 1, False), (True, False, SILENCE, False),
+    (False, True, SILENCE, False),
+])  # fmt: skip
+def test_a_drive_is_silent_while_enabled_if_that_was_the_last_it_said_before_it_was_told_to_disable(
+    told: bool, reported: bool, ticks: int, silent: bool
+) -> None:
+    watch = DisabledDriveWatch(DESIGN)
+    if told:
+        watch.update(0, reported, None, 0.0)
+        for _ in range(ticks):
+            watch.update(0, None, None, 0.0)
+    else:
+        watch.release(reported)
+        watch.known.ticks_silent = ticks
+    assert watch.silent_while_enabled is silent
+    assert watch.silent_ms == pytest.approx(10.0 * ticks)

@@ -164,3 +164,7 @@ def test_after_the_bus_was_lost_everything_is_counted_anew() -> None:
     compared.forget()
     heard = [tick(compared, state=FAULT if n % 40 == 0 else None) for n in range(200)]
     assert next(n for n, text in enumerate(heard) if text) == 80  # the third heartbeat
+
+
+def test_before_the_first_heartbeat_none_has_come() -> None:
+    assert [DriveStateComparison(axis_settings(), PERIOD_S).new] == [None]

@@ -70,3 +70,16 @@ def test_the_age_counts_missed_ticks() -> None:
 
 def test_a_drive_without_a_counter_is_always_fresh() -> None:
     assert accept(FeedbackMonitor(1), None, None, None) == [True, True, True]
+
+
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_how_far_apart_samples_come_is_that_of_the_last_two_until_all_is_forgotten(every: int) -> None:
+    monitor = FeedbackMonitor(16)
+    assert monitor.ticks_between_fresh == 0
+    for tick in range(4 * every + 1):
+        monitor.begin_tick(0)
+        if tick % every == 0:
+            monitor.accept(tick // every)
+    assert monitor.ticks_between_fresh == every
+    monitor.forget()
+    assert monitor.ticks_between_fresh == 0

@@ -551,3 +551,72 @@ def test_another_origin_moves_all_that_a_motion_remembers_of_positions() -> None
 def test_a_difference_of_just_the_noise_of_two_samples_makes_no_speed(factor: float, moves: bool) -> None:
     bench = Bench().track(0.0, factor * math.sqrt(2.0) * 0.1)
     assert (bench.observer.velocity != 0.0) is moves
+
+
+class Told:
+    """Stands in for a part of a motion, and remembers what it is told."""
+
+    def __init__(self, **values: Any) -> None:
+        self.calls: list[tuple[str, tuple[Any, ...], dict[str, Any]]] = []
+        self.values = values
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self.values:
+            return self.values[name]
+        return lambda *given, **named: self.calls.append((name, given, named))
+
+    def names(self) -> list[str]:
+        return [name for name, _, _ in self.calls]
+
+
+def told_monitor(bench: Bench) -> Told:
+    monitor = Told(is_sure=True, better_factor=None, least=1.0)
+    bench.motion.model_monitor = monitor  # type: ignore[assignment]
+    return monitor
+
+
+@pytest.mark.parametrize(
+    ("missed", "age_s", "seen", "corrected"),
+    [(0, None, True, True), (0, None, False, False), (3, 3.0 * PERIOD_S, True, False), (3, PERIOD_S, True, True)],
+)
+def test_a_stop_is_told_what_a_sample_of_now_has_corrected(
+    missed: int, age_s: float | None, seen: bool, corrected: bool
+) -> None:
+    """One from among missed ticks says nothing of the effort since."""
+    bench = Bench().holding()
+    braking = Told()
+    bench.motion._braking = braking  # type: ignore[assignment]
+    if missed:
+        bench.motion.skip(missed)
+    bench.step(10.0 if seen else None, age_s, missed)
+    (_, _, named) = braking.calls[-1]
+    assert named == {"corrected": corrected, "sure": corrected}
+
+
+@pytest.mark.parametrize(("gaps", "anew"), [([1], False), ([2], True), ([1, 1], True), ([3], True)])
+def test_after_two_missed_ticks_without_a_sample_between_the_model_is_judged_anew(gaps: list[int], anew: bool) -> None:
+    """20 ms; from the estimate and the effort of then."""
+    bench = Bench().holding()
+    bench.motion.set_target(400.0, 100.0)
+    for _ in range(5):
+        effort = bench.step(bench.observer.position)
+    assert effort > 0.5
+    monitor = told_monitor(bench)
+    for missed in gaps[:-1]:
+        bench.motion.skip(missed)
+        bench.step(None, missed=missed)
+    before = bench.motion.law.effort
+    bench.motion.skip(gaps[-1])
+    bench.step(bench.observer.position, PERIOD_S, gaps[-1])
+    starts = [given for name, given, _ in monitor.calls if name == "start"]
+    assert starts == [(bench.observer, before)] * anew
+    assert ("update" in monitor.names()) is not anew
+
+
+@pytest.mark.parametrize(
+    ("outlier", "implausible", "doubted"), [(False, 0, False), (True, 0, True), (False, 1, True), (True, 1, True)]
+)
+def test_a_sample_is_doubted_while_tracking_and_while_driven(outlier: bool, implausible: int, doubted: bool) -> None:
+    motion = Bench().motion
+    motion._tracking.was_outlier, motion.implausible = outlier, implausible
+    assert [motion.doubts_sample] == [doubted]

@@ -12,6 +12,7 @@ from tests.axis.rig import PERIOD_S, TRAITS, AxisRig, axis_settings, paper
 from twostage_servo.axis.axis import Axis
 from twostage_servo.axis.design import design_axis
 from twostage_servo.axis.messages import NO_EFFORT, DriveTraits
+from twostage_servo.axis.motion import Motion
 from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.state import DRIVEN, State
 from twostage_servo.axis.trips import RULES, Reaction, TripCode
@@ -570,3 +571,33 @@ def test_a_reversed_sign_is_braked_by_the_model_whatever_has_tripped_in_the_same
         rig.tick()
         assert -2.5 < rig.velocity < speed + 1e-9  # of the demo, standstill is 2.5 mm/s
         speed = max(rig.velocity, 0.0)
+
+
+def test_what_is_blind_already_gives_up_its_feedback_once() -> None:
+    rig = AxisRig().cruising()
+    rig.axis.raise_trip(TripCode.STALE_FEEDBACK, "test")
+    assert rig.axis.motion.blind
+    given_up: list[None] = []
+    rig.axis.motion.ignore_feedback = lambda: given_up.append(None)  # type: ignore[method-assign]
+    rig.axis.raise_trip(TripCode.POSITION_JUMP, "test")
+    assert given_up == []
+
+
+@pytest.mark.parametrize("keeps", [False, True])
+def test_a_trip_that_says_nothing_against_the_encoder_this_time_keeps_the_reference(keeps: bool) -> None:
+    rig = AxisRig().cruising()
+    rig.axis._latch.raise_trip(TripCode.MODEL_MISMATCH, "test", keeps_reference=keeps)
+    assert rig.axis.referenced is keeps
+
+
+@pytest.mark.parametrize("moves_after_all", [False, True])
+@pytest.mark.parametrize("cannot_stop", [False, True])
+def test_a_braking_ends_where_the_axis_moves_after_all_or_cannot_be_stopped(
+    monkeypatch: pytest.MonkeyPatch, moves_after_all: bool, cannot_stop: bool
+) -> None:
+    rig = AxisRig().cruising()
+    rig.axis.raise_trip(TripCode.STALE_FEEDBACK, "test")
+    monkeypatch.setattr(Motion, "moves_after_all", moves_after_all)
+    monkeypatch.setattr(Motion, "cannot_stop", cannot_stop)
+    rig.tick()
+    assert (rig.state() is State.TRIPPED) is (moves_after_all or cannot_stop)

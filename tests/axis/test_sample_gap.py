@@ -123,3 +123,35 @@ def test_an_encoder_that_stands_still_does_not_look_alive_by_the_dates_of_its_sa
         motion.step()
     assert abs(motion.law.observer.velocity) > 2.0  # so that each date moves the sample by more than the resolution
     assert motion.unchanged_effort > 0.5
+
+
+def test_a_gap_that_is_closed_surprises_nothing_whatever_its_error_was() -> None:
+    one = gap(DEMO, 5)
+    assert one.surprise >= one.allowance > 0.0
+    one.close()
+    assert one._error.velocity != 0.0
+    assert (one.surprise, one.allowance) == (0.0, 0.0)
+
+
+def test_a_sample_that_is_not_believed_lets_the_error_go_on_and_adds_nothing_to_it() -> None:
+    one, alone = gap(DEMO, 3), DEMO.build_law().observer
+    alone.continue_from(one._error)
+    one.doubt()
+    alone.predict(0.0)
+    assert one.allowance == pytest.approx(abs(alone.position))
+    assert (one._error.velocity, one._error.disturbance) == pytest.approx((alone.velocity, alone.disturbance))
+
+
+def test_an_old_sample_begins_the_gap_anew_with_what_was_hidden_before_it() -> None:
+    """The speed that a steady innovation hides: gain 1 of it in a tick; of a gap that has not been, none."""
+    observer = DEMO.build_law().observer
+    fresh = SampleGap(DEMO)
+    fresh.reopen(0, observer, 0.0)
+    assert fresh._error.velocity == 0.0
+    observer.innovation = -0.2
+    fresh.close()
+    fresh.miss(observer, 0.0)
+    hidden = abs(observer.gain[0] * 0.2) / DEMO.plant.a12
+    observer.innovation = 0.0
+    fresh.reopen(0, observer, 0.0)
+    assert fresh._error.velocity == pytest.approx(hidden)

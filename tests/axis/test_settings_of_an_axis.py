@@ -199,3 +199,21 @@ def test_the_keys_of_a_law_are_those_of_each_that_is_installed() -> None:
 def test_no_law_is_looked_for_that_is_not_named(value: object) -> None:
     """What is wrong there is told with everything else that is, later."""
     assert choose_law(value) is value
+
+
+def test_the_keys_of_a_law_that_nobody_has_named_are_its_defaults() -> None:
+    law = LAWS.get("adaptive")
+    assert LawSettings.all_fields()["adaptive"].default == law.settings()
+
+
+def test_the_name_of_a_law_has_64_characters_at_most() -> None:
+    for length, words in ((64, "no law is called"), (65, "at most 64 characters")):
+        with pytest.raises(ValidationError, match=words):
+            LawSettings(type="x" * length)
+
+
+@pytest.mark.parametrize("given", [{}, {"type": "paper"}, {"type": "adaptive"}, {"memory": "none"}])
+def test_a_law_without_a_type_is_told_and_one_with_a_type_is_not(given: dict[str, Any]) -> None:
+    told = AxisSettings.model_validate(DEMO | {"law": given}).law.unnamed
+    assert ('keeps the law "paper"; type = "adaptive" settles sooner' in told) is ("type" not in given)
+    assert bool(told) is ("type" not in given)

@@ -488,3 +488,35 @@ def test_an_axis_that_is_to_hold_is_stopped_unless_it_rests_or_stops_already(
     SpeedOverride._hold(override, leg)
     assert override.kept_target == 400.0
     assert stopped == [(2000.0, True)] * stops
+
+
+@pytest.mark.parametrize(("at", "target"), [(1000.0, 1003.0), (-1000.0, -1003.0)])
+def test_how_far_it_is_to_a_set_point_counts_from_where_the_axis_is(at: float, target: float) -> None:
+    """3 mm away, where a stop from 20 mm/s takes less."""
+    rig = rig_of("adaptive")
+    rig.axis.set_position(at)
+    rig.axis.move_to(target, 20.0)
+    rig.seconds(0.08)
+    rig.axis.set_override(0.0)
+    rig.seconds(1.0)
+    assert outcome(rig) == "moving"
+    assert 0.0 < abs(rig.axis.motion.law.observer.position - at) < 2.5
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_after_a_stop_beyond_its_set_point_the_axis_heads_back(law: str) -> None:
+    """A limit switch behind it counts as soon as it may go on."""
+    rig = rig_of(law)
+    rig.axis.move_to(300.0, 100.0)
+    rig.seconds(1.0)
+    rig.axis.set_override(0.0)
+    rig.tick()
+    target = rig.position + 0.5
+    rig.axis.move_to(target, 100.0)
+    assert rig.axis._operation.heading > 0.0
+    rig.seconds(1.0)
+    assert rig.position > target + 0.5
+    rig.axis.set_override(100.0)
+    assert rig.axis._operation.heading < 0.0
+    until(rig, lambda: outcome(rig) == "reached")
+    assert rig.position == pytest.approx(target, abs=0.06)

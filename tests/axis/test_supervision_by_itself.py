@@ -316,3 +316,13 @@ def test_an_axis_has_arrived_after_more_than_10_ticks_in_the_window_in_a_row() -
         supervision.begin_move()
         there.nominal.observer.velocity = speed
         assert ticks_to_arrive(100.0) == arrives
+
+
+@pytest.mark.parametrize(
+    ("speed", "words"), [(40.0, "10 mm is allowed"), (100.0, "20 mm is allowed in a motion at up to 100 mm/s")]
+)
+def test_the_following_error_is_told_with_the_speed_where_that_allows_it(speed: float, words: str) -> None:
+    """10 mm, or 0.2 s of the speed."""
+    broken = motion(following_error=50.0, nominal__observer__velocity=-speed)
+    (cause,) = [cause for _, cause in Supervision(DESIGN, broken).violations(State.HOLDING, referenced=False)]
+    assert cause == f"the following error at 0 mm is 50 mm; {words}"

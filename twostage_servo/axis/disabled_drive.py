@@ -258,9 +258,7 @@ class DisabledDriveWatch:
     @property
     def not_disabled(self) -> bool:
         """Whether the drive has reported for too long that it is enabled, and has not reported otherwise since."""
-        return bool(
-            self.known.ticks_told is not None and self.known.reported and self.known.ticks_enabled > self._patience
-        )
+        return bool(self.known.reported and self.known.ticks_enabled > self._patience)
 
     @property
     def waits(self) -> bool:

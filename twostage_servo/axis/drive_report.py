@@ -266,7 +266,7 @@ class DriveReport:
         if self.safe_torque_off:
             yield TripCode.SAFE_TORQUE_OFF, "the drive reports that safe torque off is active"
         if self.fault_code is not None:
-            yield TripCode.DRIVE_FAULT, f"the drive reports {self._fault_text()}"
+            yield TripCode.DRIVE_FAULT, f"the drive reports {self._fault_text(self.fault_code)}"
         if self.enabled is False and not arming:
             yield TripCode.DRIVE_DROPPED_OUT, "the drive reports that it is no longer enabled"
         if loss := self.heartbeat.loss:
@@ -311,9 +311,8 @@ class DriveReport:
         trouble = next(self.troubles(arming=True), None)
         return None if trouble is None else (RefusalCode(trouble[0]), f"{trouble[1]}: remove its cause first.")
 
-    def _fault_text(self) -> str:
-        code = self.fault_code
-        text = None if code is None else self._fault_texts.get(code)
+    def _fault_text(self, code: int) -> str:
+        text = self._fault_texts.get(code)
         return f"fault code {code}" + (f" ({text})" if text else "")
 
     def _why_late(self) -> str:
