@@ -136,7 +136,7 @@ class AxisDesign:
 
         A smoothed one may begin while the axis still accelerates.
         """
-        if not smooth or math.isinf(self.jerk):
+        if not smooth:
             return self.law.stopping_time_s(velocity, deceleration)
         rising_s = deceleration / self.jerk
         fastest = abs(velocity) + 0.5 * deceleration * rising_s
