@@ -8,6 +8,9 @@ CRUISE_S, LONG_CRUISE_S = 1.5, 4.0
 _SHORTEST = 0.9
 """The least share of the full length: moves differ, so that no fault always meets the same place."""
 
+_EARLY_TICKS = 4.0
+"""Ticks of cruise that a first move may change over before the distance of a plant that is known."""
+
 
 def plan_target(design: AxisDesign, start: float, velocity: float, share: float, cruise_s: float = CRUISE_S) -> float:
     """Return the set-point of a move with a cruise, within the limits, to the side where there is more room.
@@ -36,8 +39,12 @@ def plan_target(design: AxisDesign, start: float, velocity: float, share: float,
 
 
 def cruise_end(design: AxisDesign, velocity: float) -> float:
-    """Return the distance from the set-point, in axis unit, at which the cruise is about to end."""
-    return 1.3 * design.changeover_distance(velocity)
+    """Return the distance from the set-point, in axis unit, at which the cruise is about to end.
+
+    A law that does not know its plant yet may change over some ticks before its design's distance.
+    """
+    distance = design.changeover_distance(velocity)
+    return max(1.3 * distance, distance + _EARLY_TICKS * velocity * design.period_s)
 
 
 def settling_begin(design: AxisDesign, velocity: float) -> float:

@@ -128,12 +128,10 @@ def test_any_move_arrives_and_stays(time_s: float, velocity: float, direction: f
     assert rig.law.stage is Stage.POSITION
     assert rig.positions[-1] == pytest.approx(target, abs=2e-3)
     assert max(direction * at for at in rig.positions) < distance + 0.02
-    if time_s >= 0.12:  # shorter ones: below
-        assert max(abs(speed) for speed in rig.velocities) < 1.05 * velocity + 0.5
+    assert max(abs(speed) for speed in rig.velocities) < 1.05 * velocity + 0.5
     assert rig.law.changeovers == 1
 
 
-@pytest.mark.xfail(strict=True, reason="of a move of ten ticks each counts: the axis passes its velocity by a tenth")
 def test_a_move_of_a_few_ticks_does_not_pass_its_velocity() -> None:
     rig = Rig(task()).ticks(30).move(7.59375, 81.0, 100)
     assert max(rig.velocities) < 1.05 * 81.0 + 0.5

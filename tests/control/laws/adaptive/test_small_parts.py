@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from twostage_servo.control.laws.adaptive.acceptance import cautious
 from twostage_servo.control.laws.adaptive.changeover import Changeover, _Plan
 from twostage_servo.control.laws.adaptive.departure import Departure
 from twostage_servo.control.laws.adaptive.reference import Shape, Ways
 from twostage_servo.control.laws.adaptive.speed_stage import SpeedStage
+from twostage_servo.control.plant import Plant
 
 STEP = 2.0
 """By how much the rise of the speed may change in a tick, in mm/s: 4 V in a tick, of 0.5 mm/(V s) each."""
@@ -183,29 +185,34 @@ def test_identification_ends_in_a_cruise_that_has_shown_enough_or_has_lasted_lon
 
 
 @pytest.mark.parametrize(
-    ("cautious", "new", "cruise", "target", "rise"),
+    ("cautious", "new", "smooth", "speed", "cruise", "target", "rise"),
     [
-        # 5 ticks of 10 ms: 20 mm/s in each of them for 100 mm/s; 40 mm in 50 ms² are 16 mm/ms², 160 mm/s a tick
-        (True, True, 100.0, 40.0, 20.0),
-        (True, True, 100.0, -40.0, 20.0),
-        (True, True, 100.0, 1.0, 4.0),  # for 1 mm
-        (True, True, 1000.0, 400.0, 50.0),  # the acceleration allows no more
-        (True, False, 100.0, 1.0, 50.0),
-        (False, True, 100.0, 1.0, 50.0),
+        # Towards 1.2 times 100 mm/s in time constants of 5 ticks of 10 ms: a fifth of what is missing.
+        (True, True, False, 0.0, 100.0, 125.0, 24.0),
+        (True, True, False, 20.0, 100.0, -125.0, 20.0),
+        (True, True, False, 100.0, 100.0, 125.0, 4.0),
+        (True, False, False, 20.0, 100.0, 125.0, 20.0),
+        (True, True, False, 0.0, 100.0, 1.0, 4.0),  # 1 mm in 50 ms² is 0.4 mm/ms², 4 mm/s a tick
+        (True, True, True, 0.0, 100.0, 1.0, 4.0),
+        (True, False, False, 0.0, 100.0, 1.0, 24.0),
+        (True, True, False, 0.0, 1000.0, 400.0, 50.0),  # the acceleration allows no more
+        (True, False, True, 20.0, 100.0, 125.0, 50.0),  # what is smooth rises by less at its end in any case
+        (False, True, False, 0.0, 100.0, 1.0, 50.0),
     ],
 )
-def test_a_first_move_on_an_unknown_plant_rises_gently(
-    cautious: bool, new: bool, cruise: float, target: float, rise: float
+def test_the_speed_rises_by_less_the_faster_it_is(
+    cautious: bool, new: bool, smooth: bool, speed: float, cruise: float, target: float, rise: float
 ) -> None:
     stage: Any = SimpleNamespace(
-        _rules=SimpleNamespace(is_cautious=cautious, first_acceleration=5.0),
+        _rules=SimpleNamespace(is_cautious=cautious, acceleration=5.0, overreach=1.2),
         _estimate=SimpleNamespace(learning=SimpleNamespace(is_new=new)),
         _departure=SimpleNamespace(position=0.0),
+        _smoothing="some" if smooth else None,
         _loop_period_s=0.01,
         _period_s=0.01,
         _ramp=50.0,
     )
-    course: Any = SimpleNamespace(cruise_velocity=cruise, target=target)
+    course: Any = SimpleNamespace(speed=speed, cruise_velocity=cruise, target=target)
     assert SpeedStage._largest_rise(stage, course) == pytest.approx(rise)
 
 
@@ -297,3 +304,13 @@ def test_an_axis_that_is_not_seen_to_move_is_pushed_by_little_once_it_should_hav
         departure.held_back(wanted, rise, 5.0, 24.0)
     assert departure.held_back(wanted, rise, sample, 24.0) == pytest.approx(effort)
     assert departure.is_held is (effort != wanted or tick == 4)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("gain", "kept"), [(0.6, 0.7), (0.7, 0.7), (0.71, 0.71), (1.6, 1.6)])
+def test_a_first_move_is_not_pushed_by_more_than_the_least_of_gains_asks_for(
+    gain: float, kept: float, sign: float
+) -> None:
+    """A plant may be 30 % off its model."""
+    plant = cautious(Plant(sign * gain * 180.0, 9.0), Plant(sign * 180.0, 14.0))
+    assert (plant.gain, plant.pole) == (pytest.approx(sign * kept * 180.0), 9.0)

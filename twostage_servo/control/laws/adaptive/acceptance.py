@@ -13,7 +13,7 @@ from typing import Final
 from twostage_servo.control.laws.adaptive.identification import Fit
 from twostage_servo.control.laws.adaptive.rules import LearningRules
 from twostage_servo.control.laws.rejection import Rejection, RejectionCode
-from twostage_servo.control.plant import Plant
+from twostage_servo.control.plant import MODEL_ERROR, Plant
 
 GAIN_BOUNDS: Final = (0.6, 1.65)
 POLE_BOUNDS: Final = (0.5, 1.65)
@@ -34,6 +34,16 @@ def bounded(fit: Fit, configured: Plant) -> Plant:
         within(fit.gain / configured.gain, GAIN_BOUNDS) * configured.gain,
         within(fit.pole / configured.pole, POLE_BOUNDS) * configured.pole,
     )
+
+
+def cautious(plant: Plant, configured: Plant) -> Plant:
+    """Return a plant that answers the effort by no less than one that is as far off its model as it may be.
+
+    A first move on what seems to answer by less would be pushed by as much more; but it may be an encoder that shows
+    half of the way, and then the axis has gone twice as far until that is certain.
+    """
+    gain = configured.gain * max(plant.gain / configured.gain, 1.0 - MODEL_ERROR)
+    return Plant(gain, plant.pole)
 
 
 def unexplained() -> Rejection:

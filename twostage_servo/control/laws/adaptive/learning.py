@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 from twostage_servo.control.laws.adaptive.acceptance import (
     beyond_bounds,
     bounded,
+    cautious,
     poor_fit,
     rejection,
     unexplained,
@@ -244,7 +245,8 @@ class Learning:
             return None
         self.is_late = self._likelier
         fit = self._likelier_fit
-        return Found(fit.position, fit.velocity, fit.load, bounded(fit, self._configured))
+        plant = bounded(fit, self._configured)
+        return Found(fit.position, fit.velocity, fit.load, cautious(plant, self._configured) if self.is_new else plant)
 
     @property
     def _likelier_fit(self) -> Fit:

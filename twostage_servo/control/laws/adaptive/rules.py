@@ -78,9 +78,12 @@ class Rules:
     ----------
     braking_share
         Share of what the effort limit could brake with that the reference asks for; the rest is the feedback's.
-    first_acceleration, first_braking
-        Ticks of the loops (:func:`loop_period_s`) that a first move on an unknown plant takes at least for each: time
-        to identify, and to correct.
+    acceleration, overreach
+        Time constant of an acceleration, in ticks of the loops (:func:`loop_period_s`), and the multiple of the cruise
+        velocity that it aims at: the reference rises by less the faster it is. What the drive holds if its host fails
+        then drives the axis on by less, and there is time to identify.
+    first_braking
+        Ticks of the loops that a first move on an unknown plant takes at least to brake: time to correct.
     unknown, late
         Exponents of the poles while the plant is not known, and where an effort acts a tick later.
     pull_share
@@ -89,7 +92,7 @@ class Rules:
     identification_ticks, longest_identification_ticks
         Ticks of cruise after which identification ends: where the gain is known, and in any case.
     is_cautious
-        Whether a first move takes these times.
+        Whether moves accelerate so, and a first one takes that time.
     holds_back
         Whether the effort of a move is held back until the axis is seen to move.
     ends_friction
@@ -99,7 +102,8 @@ class Rules:
     """
 
     braking_share: float = 0.66
-    first_acceleration: float = 5.037
+    acceleration: float = 5.7
+    overreach: float = 1.3
     first_braking: float = 7.188
     unknown: float = 0.4
     late: float = 0.75

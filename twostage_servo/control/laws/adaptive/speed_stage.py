@@ -123,10 +123,14 @@ class SpeedStage:
 
     def _largest_rise(self, course: Course) -> float:
         """Return by how much the speed reference may rise in a tick, in axis unit/s."""
-        if not (self._rules.is_cautious and self._estimate.learning.is_new):
+        rules, is_new = self._rules, self._estimate.learning.is_new
+        # A smooth one rises by less at its end in any case.
+        if not rules.is_cautious or (self._smoothing is not None and not is_new):
             return self._ramp
-        rising_s = self._rules.first_acceleration * self._loop_period_s
-        quickest = min(course.cruise_velocity / rising_s, abs(course.target - self._departure.position) / rising_s**2)
+        rising_s = rules.acceleration * self._loop_period_s
+        quickest = (rules.overreach * course.cruise_velocity - course.speed) / rising_s
+        if is_new:
+            quickest = min(quickest, abs(course.target - self._departure.position) / rising_s**2)
         return min(self._ramp, quickest * self._period_s)
 
     def _last_rise(self, left: float) -> float:
