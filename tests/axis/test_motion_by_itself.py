@@ -535,12 +535,12 @@ def test_another_origin_moves_all_that_a_motion_remembers_of_positions() -> None
     moved: list[float] = []
     part = SimpleNamespace(shift=moved.append)
     motion: Any = SimpleNamespace(
-        law=part, nominal=part, model_monitor=part, _tracking=part, _unchanged=(3.0, 1.5), _shown=4.0, _stands_at=5.0,
-        _recent=deque([1.0, 2.0], maxlen=5),
+        law=part, nominal=part, model_monitor=part, _tracking=part, _unchanged=(3.0, 1.5, 0.5), _shown=4.0,
+        _stands_at=5.0, _recent=deque([1.0, 2.0], maxlen=5),
     )  # fmt: skip
     Motion.shift(motion, 100.0)
     assert moved == [100.0] * 4
-    assert (motion._unchanged, motion._shown, motion._stands_at) == ((103.0, 1.5), 104.0, 105.0)
+    assert (motion._unchanged, motion._shown, motion._stands_at) == ((103.0, 1.5, 0.5), 104.0, 105.0)
     assert list(motion._recent) == [101.0, 102.0]
     motion._unchanged = motion._shown = motion._stands_at = None
     Motion.shift(motion, 100.0)
@@ -620,3 +620,25 @@ def test_a_sample_is_doubted_while_tracking_and_while_driven(outlier: bool, impl
     motion = Bench().motion
     motion._tracking.was_outlier, motion.implausible = outlier, implausible
     assert [motion.doubts_sample] == [doubted]
+
+
+@pytest.mark.parametrize(
+    ("load", "effort", "evidence"), [(0.0, 0.0, 0.0), (0.0, 1.5, 1.5), (-2.0, 2.0, 0.0), (-2.0, 0.0, 2.0)]
+)
+def test_an_effort_that_only_holds_the_load_is_no_sign_of_an_encoder_that_stands_still(
+    load: float, effort: float, evidence: float
+) -> None:
+    """An axis that brakes with 6 V within its encoder's last step stays there, and its effort becomes that of rest."""
+    bench = Bench(0.0).holding()
+    bench.motion._load.load = load
+    bench.motion._effort = -6.0
+    bench.drive.position = 0.0
+    bench.motion._unchanged = None
+    bench.motion._compare_with_the_last()
+    assert bench.motion.unchanged_effort == 0.0
+    bench.motion._effort = effort
+    bench.motion._compare_with_the_last()
+    assert bench.motion.unchanged_effort == evidence
+    bench.motion._effort = -6.0 - 0.5
+    bench.motion._compare_with_the_last()
+    assert bench.motion.unchanged_effort == 0.5

@@ -102,9 +102,9 @@ def test_a_law_that_follows_a_plan_begins_another_by_no_more_than_it_has_begun_w
     assert (wrong is None) is (first <= 4.0 + _SUM and is_continuous)
 
 
-def stalled(law: str, effort: float, ticks: int) -> World:
-    """Return a world whose axis is stuck before it sets out, and is pushed with an effort for so many ticks."""
-    before = SimpleNamespace(time_s=0.0, state=State.HOLDING.value, effort=0.0, velocity=0.0)
+def stalled(law: str, effort: float, ticks: int, velocity: float = 0.0) -> World:
+    """Return a world whose axis is stuck, before it sets out or at a velocity, and pushed for so many ticks."""
+    before = SimpleNamespace(time_s=0.0, state=State.HOLDING.value, effort=0.0, velocity=velocity)
     pushed = [
         SimpleNamespace(time_s=0.01 * n, state=State.SPEED_STAGE.value, effort=effort) for n in range(1, ticks + 1)
     ]
@@ -132,4 +132,14 @@ def test_an_axis_that_is_stuck_is_pushed_as_its_plan_would_and_no_more_than_tell
     law: str, effort: float, ticks: int, is_met: bool
 ) -> None:
     wrong = asyncio.run(within_stall_effort(stalled(law, effort, ticks)))
+    assert (wrong is None) is is_met, wrong
+
+
+@pytest.mark.parametrize(
+    ("effort", "velocity", "is_met"), [(24.0, 100.0, True), (24.1, 100.0, False), (24.0, 2.4, False)]
+)
+def test_quick_loops_may_push_an_axis_that_stops_in_mid_motion_up_to_the_limit(
+    effort: float, velocity: float, is_met: bool
+) -> None:
+    wrong = asyncio.run(within_stall_effort(stalled("adaptive", effort, 5, velocity)))
     assert (wrong is None) is is_met, wrong

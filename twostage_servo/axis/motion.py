@@ -64,7 +64,8 @@ class Motion:
     model_monitor
         Whether the plant answers the effort as the model says.
     unchanged_effort
-        By how much the effort (effort unit) has changed since the encoder last showed another position.
+        By how much the effort (effort unit) has changed since the encoder last showed another position, and differs
+        from what holds the axis at rest.
     plant
         What the law has found out of the plant.
     """
@@ -103,7 +104,8 @@ class Motion:
         self.blind = False
         self.implausible = 0
         self.unchanged_effort = 0.0
-        self._unchanged: tuple[float, float] | None = None  # the last sample that was another, and its effort
+        # The last sample that was another, its effort, and the one that would have held the axis at rest then.
+        self._unchanged: tuple[float, float, float] | None = None
         self._skipped = 0  # ticks missed since the last sample that was not from before them
         self._shown: float | None = None  # by the encoder, in axis unit
         self._stands = False  # whether it was the same a sample before
@@ -155,8 +157,8 @@ class Motion:
         self.model_monitor.shift(distance)
         self._tracking.shift(distance)
         if self._unchanged is not None:
-            position, effort = self._unchanged
-            self._unchanged = position + distance, effort
+            position, effort, holding = self._unchanged
+            self._unchanged = position + distance, effort, holding
         if self._shown is not None:
             self._shown += distance
         if self._stands_at is not None:
@@ -320,12 +322,17 @@ class Motion:
             observer.correct(observer.velocity, self._load.load)
 
     def _compare_with_the_last(self) -> None:
-        """Compare what the encoder shows, not dated: an encoder that stands still has no speed to date it by."""
-        sample = self._drive.position
+        """Compare what the encoder shows, not dated: an encoder that stands still has no speed to date it by.
+
+        An effort that only holds the load drives nothing: with it an axis that has braked within its encoder's last
+        step stays there.
+        """
+        sample, effort = self._drive.position, self._effort
         assert sample is not None  # noqa: S101 - the caller has one
         if self._unchanged is None or abs(sample - self._unchanged[0]) > self._resolution:
-            self._unchanged = sample, self._effort
-        self.unchanged_effort = abs(self._effort - self._unchanged[1])
+            self._unchanged = sample, effort, -self._load.load
+        _, before, holding = self._unchanged
+        self.unchanged_effort = min(abs(effort - before), abs(effort - holding))
         self._recent.append(sample)
 
     def _believed_sample(self) -> float | None:

@@ -97,8 +97,9 @@ async def within_stall_effort(world: World) -> str | None:
     Until then the effort starts from where it was. What stands still gives back the velocity's part, ``f12 x2``, and
     the estimate may swing as far to the other side. The sum adds f22 a tick for each unit that is missing: of speed,
     the move's at most, or of the distance in the position stage. A law that follows a plan goes on with the efforts of
-    the plan, which are those of the same move without the fault, and adds less than what tells a stall. After the trip
-    no more is allowed than the quick stop's ramp takes without friction.
+    the plan, which are those of the same move without the fault, and adds less than what tells a stall; one that stops
+    in mid-motion gives back the velocity's part at once, in loops as quick as the tick allows, up to the effort limit.
+    After the trip no more is allowed than the quick stop's ramp takes without friction.
     """
     design, limits = world.axis.design, world.axis.settings.limits
     stall_ticks = design.ticks(limits.stall_time_ms)
@@ -117,7 +118,8 @@ async def within_stall_effort(world: World) -> str | None:
         return f"the stall was noticed after {len(stuck)} ticks, {ticks + 0.5 * ramp_ticks:.1f} are allowed"
     most = abs(before.effort) + 2.0 * abs(gains.f12 * before.velocity) + rise * ticks
     if follows_a_plan(design):
-        most = max(most, max(abs(sample.effort) for sample in world.undisturbed) + limits.stall_effort)
+        planned = max(abs(sample.effort) for sample in world.undisturbed) + limits.stall_effort
+        most = max(most, planned if abs(before.velocity) <= design.rest_velocity else limits.effort)
     braking = max(most, limits.quick_stop_deceleration / abs(world.axis.settings.plant.gain))
     for samples, allowed in ((stuck, most), (after[len(stuck) :], braking)):
         largest = max((abs(sample.effort) for sample in samples), default=0.0)
