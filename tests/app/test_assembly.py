@@ -20,6 +20,7 @@ from twostage_servo.config.errors import ConfigError
 from twostage_servo.config.files import shipped_configuration
 from twostage_servo.config.loader import load
 from twostage_servo.config.machine import Machine, load_machine
+from twostage_servo.control.laws.adaptive.design import AdaptiveDesign
 from twostage_servo.faults.frames import compile_profile
 from twostage_servo.service.settings import ServiceSettings, longest_end_s
 
@@ -202,3 +203,12 @@ def test_what_only_a_restart_can_follow_is_refused_by_its_table(table: str, over
     problem = simulate(script)() or ""
     assert table in problem
     assert "restart the service to apply that" in problem
+
+
+@pytest.mark.parametrize(("file", "step"), [("demo.toml", 0.001), ("rotary_table.toml", 360.0 / 65536.0)])
+def test_a_law_is_designed_for_the_step_of_the_encoder(file: str, step: float) -> None:
+    loaded = load(shipped_configuration(file), ["axis.law.type=adaptive"])
+    for made in (design(loaded), design(loaded, traits=build_drive(loaded).traits)):
+        assert isinstance(made.law, AdaptiveDesign)
+        assert made.law.task.encoder_step == pytest.approx(step)
+        assert made.law.noise == pytest.approx(step / 12.0**0.5)

@@ -48,7 +48,7 @@ def test_the_response_is_the_one_that_the_demo_finds_over_frames(capsys: pytest.
     found = demo(capsys, "--set", f"axis.law.type={law}")
     response = respond(*axis(f"axis.law.type={law}"), MOVE)
     assert response.settling_time_s == pytest.approx(found["settling_time_s"], abs=0.0201)
-    assert response.overshoot == pytest.approx(found["overshoot"], rel=0.01, abs=0.002)
+    assert response.overshoot == pytest.approx(found["overshoot"], rel=0.01, abs=0.005)  # of steps of 0.001 mm
     assert response.peak_velocity == pytest.approx(found["peak_velocity"], rel=0.002)
     assert response.trip is None
 

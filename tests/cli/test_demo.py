@@ -141,8 +141,8 @@ def test_the_adaptive_law_moves_like_a_servo_and_shows_what_it_has_found(capsys:
     assert identified["gain"] == pytest.approx(216.0, rel=0.02)
     assert identified["pole"] == pytest.approx(11.2, rel=0.02)
     assert identified["delay_ticks"] == 0
-    assert identified["load"]["forward"] == pytest.approx(0.0, abs=0.1)
-    assert identified["load"]["backward"] == pytest.approx(0.0, abs=0.1)
+    assert identified["load"]["forward"] == pytest.approx(0.0, abs=0.15)
+    assert identified["load"]["backward"] == pytest.approx(0.0, abs=0.15)
     assert law["rejection"] is None
     assert demo(capsys)["law"] == {"type": "paper", "identified": None, "accepted": None, "rejection": None}
 

@@ -24,18 +24,29 @@ _designed = functools.lru_cache(maxsize=8)(design_axis)
 """The same settings give the same design, which nothing changes: a campaign builds hundreds of services from them."""
 
 
-def design(loaded: LoadedConfig[Config], tick_s: float | None = None) -> AxisDesign:
-    """Design the axis' law and observer, on the configuration's own tick or another one, in s.
+def design(loaded: LoadedConfig[Config], tick_s: float | None = None, traits: DriveTraits | None = None) -> AxisDesign:
+    """Design the axis' law and observer.
+
+    Parameters
+    ----------
+    loaded
+        The configuration.
+    tick_s
+        The tick in s; None for the configuration's own.
+    traits
+        What is known of the drive; None to ask the drive that the configuration names.
 
     Raises
     ------
     ConfigError
-        If no law can be designed from the settings.
+        If no law can be designed from the settings, or there is no such drive.
     """
     config = loaded.config
     make = _designed if _is_hashable(config.axis) else design_axis
+    tick_s = config.service.tick_ms / 1e3 if tick_s is None else tick_s
+    traits = build_drive(loaded).traits if traits is None else traits
     try:
-        return make(config.axis, config.service.tick_ms / 1e3 if tick_s is None else tick_s)
+        return make(config.axis, tick_s, traits.position_quantum)
     except DesignError as error:
         raise loaded.problem(error.key, str(error)) from error
 
@@ -98,7 +109,7 @@ def build_axis(loaded: LoadedConfig[Config], traits: DriveTraits, tick_s: float)
         If no law can be designed from the settings.
     """
     _check_encoder(loaded, traits, tick_s)
-    designed = design(loaded, tick_s)
+    designed = design(loaded, tick_s, traits)
     try:
         check_detection(designed)
         return Axis(designed, traits)

@@ -116,8 +116,10 @@ class Reloading:
             raise Refused(RefusalCode.CONFIG, prepared.problem)
         fresh: Machine = pickle.loads(prepared.machine)  # noqa: S301 - from the process that was started here
         return prepared, [
-            pickle.loads(packed) if packed is not None else design(fresh.axis(name), self._job.period_s)  # noqa: S301
-            for name, packed in zip(self._job.traits, prepared.designs, strict=True)
+            pickle.loads(packed)  # noqa: S301
+            if packed is not None
+            else design(fresh.axis(name), self._job.period_s, traits)
+            for (name, traits), packed in zip(self._job.traits.items(), prepared.designs, strict=True)
         ]
 
     def _apply(self, prepared: Prepared, axes: list[Axis]) -> None:

@@ -150,8 +150,17 @@ class AxisDesign:
         return self.law.build(DisturbanceObserver(self.plant, gain, self.noise.disturbance_memory))
 
 
-def design_axis(settings: AxisSettings, period_s: float) -> AxisDesign:
-    """Compute gains and observer for a tick of `period_s`.
+def design_axis(settings: AxisSettings, period_s: float, encoder_step: float = 0.0) -> AxisDesign:
+    """Compute gains and observer.
+
+    Parameters
+    ----------
+    settings
+        Of the axis.
+    period_s
+        The tick, in s.
+    encoder_step
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
 
     Raises
     ------
@@ -184,6 +193,7 @@ def design_axis(settings: AxisSettings, period_s: float) -> AxisDesign:
         effort_rate_limit=limits.effort_rate,
         rest_velocity=REST_SHARE * limits.velocity,
         jerk=math.inf if settings.law.jerk is None else settings.law.jerk,
+        encoder_step=encoder_step,
     )
     law_type = LAWS.get(settings.law.type)
     _check_jerk(settings, period_s, smooths=law_type.smooths)

@@ -74,7 +74,8 @@ def _design(options: argparse.Namespace) -> ExitCode:
     check_uncertainty(options.uncertainty)
     loaded = load_configuration(options)
     with configuration_problems():
-        axis_design, traits = design(loaded), build_drive(loaded).traits
+        traits = build_drive(loaded).traits
+        axis_design = design(loaded, traits=traits)
     move = _asked_move(options, axis_design)
     loops = axis_design.law.loops()
     analyses = {

@@ -209,6 +209,8 @@ class ControlTask:
         Speed at or below which an axis counts as at rest, in axis unit/s.
     jerk
         Largest slope of the reference's acceleration, in axis unit/s³; infinity for none.
+    encoder_step
+        Step in which the encoder's position is reported, in axis unit; 0 if it has none.
     """
 
     plant: Plant
@@ -222,6 +224,7 @@ class ControlTask:
     effort_rate_limit: float
     rest_velocity: float
     jerk: float = inf
+    encoder_step: float = 0.0
 
 
 class DesignError(PortableError, ValueError):

@@ -1,5 +1,7 @@
 """Margins by python-control, and times and ways against the law itself on its model."""
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.control.laws.adaptive.test_adaptive_law import PERIOD_S, Rig, design, task
-from twostage_servo.control.laws.adaptive.design import design_adaptive
+from twostage_servo.control.laws.adaptive.design import AdaptiveDesign, design_adaptive
 from twostage_servo.control.laws.law import Controller, ControlTask, DesignError, Loop
 from twostage_servo.control.laws.registry import LAWS
 from twostage_servo.control.observer import NoiseModel, kalman_gain
@@ -158,3 +160,12 @@ def test_only_the_position_stage_feeds_the_position_back() -> None:
     assert [fed_back[name] for name in ("speed", "unknown_speed", "brake")] == [0.0, 0.0, 0.0]
     poles = {name: abs(loop.poles[0]) for name, loop in loops.items()}
     assert poles["position"] < poles["unknown_position"] < 1.0
+
+
+@pytest.mark.parametrize(("known", "step", "noise"), [(0.0, 0.06, 0.0173205), (0.02, 0.06, 0.02), (0.02, 0.0, 0.02)])
+def test_an_encoder_is_taken_to_have_the_noise_of_its_step_at_least(known: float, step: float, noise: float) -> None:
+    """Of an even distribution: the step over the root of twelve."""
+    law = LAWS.get("adaptive")
+    made = law.design(law.settings(encoder_noise=known), replace(task(), encoder_step=step))
+    assert isinstance(made, AdaptiveDesign)
+    assert made.noise == pytest.approx(noise)

@@ -184,6 +184,7 @@ def test_identification_ends_in_a_cruise_that_has_shown_enough_or_has_lasted_lon
     assert (ended[0] if ended else None) == ends_at
 
 
+@pytest.mark.parametrize(("acceleration", "least_s"), [(5.0, 0.01), (1.0, 0.05)])
 @pytest.mark.parametrize(
     ("cautious", "new", "smooth", "speed", "cruise", "target", "rise"),
     [
@@ -201,10 +202,18 @@ def test_identification_ends_in_a_cruise_that_has_shown_enough_or_has_lasted_lon
     ],
 )
 def test_the_speed_rises_by_less_the_faster_it_is(
-    cautious: bool, new: bool, smooth: bool, speed: float, cruise: float, target: float, rise: float
+    cautious: bool,
+    new: bool,
+    smooth: bool,
+    speed: float,
+    cruise: float,
+    target: float,
+    rise: float,
+    acceleration: float,
+    least_s: float,
 ) -> None:
     stage: Any = SimpleNamespace(
-        _rules=SimpleNamespace(is_cautious=cautious, acceleration=5.0, overreach=1.2),
+        _rules=SimpleNamespace(is_cautious=cautious, acceleration=acceleration, acceleration_s=least_s, overreach=1.2),
         _estimate=SimpleNamespace(learning=SimpleNamespace(is_new=new)),
         _departure=SimpleNamespace(position=0.0),
         _smoothing="some" if smooth else None,

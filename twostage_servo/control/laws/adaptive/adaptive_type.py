@@ -1,7 +1,7 @@
 """The adaptive law as one that an axis may have: its keys, and how it is designed."""
 
 from dataclasses import replace
-from math import inf, isfinite
+from math import inf, isfinite, sqrt
 from typing import Final
 
 from pydantic import Field
@@ -20,8 +20,8 @@ class AdaptiveSettings(Settings):
     encoder_noise: float = quantity(
         0.0,
         unit="axis unit",
-        description="Standard deviation of a measured position, or a third of the encoder's step where that is more; "
-        "more is measured at rest",
+        description="Standard deviation of a measured position, where it is known to be more than what its own step in "
+        "the drive's messages makes; more is measured at rest",
         ge=0.0,
         le=1e12,
     )
@@ -66,9 +66,9 @@ def _design(settings: AdaptiveSettings, task: ControlTask) -> LawDesign:
             raise DesignError(("planned_braking",), "axis.law.jerk smooths a planned braking: keep it, or remove jerk")
         return design_paper(settings.performance_index_ratio, task)
     rules, learning_rules = rules_of(settings, task)
-    return design_adaptive(
-        task, settings.encoder_noise, learns=settings.identification, rules=rules, learning_rules=learning_rules
-    )
+    # What lies anywhere within a step has the deviation of an even distribution.
+    noise = max(settings.encoder_noise, task.encoder_step / sqrt(12.0))
+    return design_adaptive(task, noise, learns=settings.identification, rules=rules, learning_rules=learning_rules)
 
 
 ADAPTIVE: Final = LawType(AdaptiveSettings, _design, smooths=True)

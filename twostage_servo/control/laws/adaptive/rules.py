@@ -78,10 +78,11 @@ class Rules:
     ----------
     braking_share
         Share of what the effort limit could brake with that the reference asks for; the rest is the feedback's.
-    acceleration, overreach
-        Time constant of an acceleration, in ticks of the loops (:func:`loop_period_s`), and the multiple of the cruise
-        velocity that it aims at: the reference rises by less the faster it is. What the drive holds if its host fails
-        then drives the axis on by less, and there is time to identify.
+    acceleration, acceleration_s, overreach
+        Time constant of an acceleration, in ticks of the loops (:func:`loop_period_s`) and in s, whichever is longer,
+        and the multiple of the cruise velocity that it aims at: the reference rises by less the faster it is. There is
+        time to identify; and what the drive holds if its host fails, until its own time-out of some 100 ms, drives the
+        axis on by less.
     first_braking
         Ticks of the loops that a first move on an unknown plant takes at least to brake: time to correct.
     unknown, late
@@ -103,6 +104,7 @@ class Rules:
 
     braking_share: float = 0.66
     acceleration: float = 5.7
+    acceleration_s: float = 0.057
     overreach: float = 1.3
     first_braking: float = 7.188
     unknown: float = 0.4
