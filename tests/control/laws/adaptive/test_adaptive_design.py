@@ -166,6 +166,6 @@ def test_only_the_position_stage_feeds_the_position_back() -> None:
 def test_an_encoder_is_taken_to_have_the_noise_of_its_step_at_least(known: float, step: float, noise: float) -> None:
     """Of an even distribution: the step over the root of twelve."""
     law = LAWS.get("adaptive")
-    made = law.design(law.settings(encoder_noise=known), replace(task(), encoder_step=step))
+    made = law.design(law.settings.model_validate({"encoder_noise": known}), replace(task(), encoder_step=step))
     assert isinstance(made, AdaptiveDesign)
     assert made.noise == pytest.approx(noise)
