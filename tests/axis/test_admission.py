@@ -206,3 +206,15 @@ def test_without_room_to_stop_in_the_overrun_no_place_outside_the_limits_may_be_
     admission = Admission(narrow, drive)
     assert code(lambda: admission.check_place(250.0, 0.0, 2.5)) is None
     assert code(lambda: admission.check_place(250.001, 0.0, 2.5)) == "position_limit"
+
+
+def test_no_place_may_be_told_from_which_an_axis_that_just_counts_as_at_rest_would_run_out_of_its_overrun() -> None:
+    """2.5 mm/s, for a tick and for a quick stop."""
+    farthest = 270.0 - DESIGN.certain_stopping_distance(2.5, SETTINGS.limits.quick_stop_deceleration) - 2.5 * PERIOD_S
+    assert code(lambda: HERE.check_place(farthest - 1e-6, 0.0, 2.5)) is None
+    assert code(lambda: HERE.check_place(farthest + 1e-6, 0.0, 2.5)) == "position_limit"
+
+
+def test_no_speed_is_told_from_one_that_is_too_small() -> None:
+    with pytest.raises(Refused, match="must be greater than 0 and at most 50 mm/s"):
+        HERE.check_velocity(0.0, 50.0)

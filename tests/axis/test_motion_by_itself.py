@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
-from tests.axis.rig import PERIOD_S, axis_settings
-from twostage_servo.axis.design import design_axis
+from tests.axis.rig import DEMO, PERIOD_S, axis_settings
+from twostage_servo.axis.design import AxisDesign, design_axis
 from twostage_servo.axis.motion import Motion
+from twostage_servo.axis.settings import AxisSettings
+from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
 from twostage_servo.control.laws.law import Stage
 
 DESIGN = design_axis(axis_settings(), PERIOD_S)
@@ -21,7 +23,7 @@ DESIGN = design_axis(axis_settings(), PERIOD_S)
 class Bench:
     """A motion with the report that it reads, at rest at a place that it tracks, or holds."""
 
-    def __init__(self, position: float = 10.0, resolution: float = 0.001) -> None:
+    def __init__(self, position: float = 10.0, resolution: float = 0.001, design: AxisDesign = DESIGN) -> None:
         drive: Any = SimpleNamespace(
             fresh=False,
             position=None,
@@ -30,7 +32,7 @@ class Bench:
             encoder=SimpleNamespace(step=lambda before, now: now - before),
         )
         self.drive = drive
-        self.motion = Motion(DESIGN, drive, resolution)
+        self.motion = Motion(design, drive, resolution)
         self.observer = self.motion.law.observer
         self.position = position
 
@@ -642,3 +644,25 @@ def test_an_effort_that_only_holds_the_load_is_no_sign_of_an_encoder_that_stands
     bench.motion._effort = -6.0 - 0.5
     bench.motion._compare_with_the_last()
     assert bench.motion.unchanged_effort == 0.5
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("blind", [False, True])
+def test_a_stop_begins_gradually_unless_blind_and_with_the_jerk_where_it_has_time(
+    monkeypatch: pytest.MonkeyPatch, smooth: bool, blind: bool
+) -> None:
+    settings = AxisSettings.model_validate(DEMO | {"law": {"type": "adaptive", "jerk": 40_000.0}})
+    bench = Bench(design=design_axis(settings, PERIOD_S)).holding()
+    bench.observer.velocity, bench.observer.disturbance, bench.motion.blind = 50.0, -1.0, blind
+    told: list[tuple[Any, ...]] = []
+
+    def stop(
+        _law: AdaptiveLaw, deceleration: float, friction: float, *, gradual: bool = False, jerk: float = math.inf
+    ) -> None:
+        told.append((deceleration, friction, gradual, jerk))
+
+    monkeypatch.setattr(AdaptiveLaw, "stop", stop)
+    bench.motion.stop(1500.0, smooth=smooth)
+    # The load of -1 V goes with the speed: at 50 mm/s that is -0.02 V s/mm of friction.
+    jerk = 40_000.0 if smooth and not blind else math.inf
+    assert told == [(1500.0, pytest.approx(-0.02), not blind, jerk)]

@@ -330,3 +330,10 @@ def test_arming_waits_for_its_time_and_the_tick_after_each_request() -> None:
     rig.axis.arm()
     assert [(rig.tick(), rig.state())[1] for _ in range(2)] == [State.ARMING, State.HOLDING]
     assert math.isfinite(rig.axis.law.effort)
+
+
+def test_a_move_that_is_ended_by_disarming_keeps_the_reason() -> None:
+    rig = AxisRig().cruising()
+    rig.axis.disarm("the service is ending")
+    assert rig.axis.move is not None
+    assert (rig.axis.move.outcome, rig.axis.move.reason) == ("stopped", "the service is ending")

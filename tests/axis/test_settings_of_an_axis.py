@@ -1,5 +1,6 @@
 """Defaults and bounds of `[axis]`, each against a table by hand, and which settings do not fit together."""
 
+import pickle
 from typing import Any
 
 import pytest
@@ -217,3 +218,11 @@ def test_a_law_without_a_type_is_told_and_one_with_a_type_is_not(given: dict[str
     told = AxisSettings.model_validate(DEMO | {"law": given}).law.unnamed
     assert ('keeps the law "paper"; type = "adaptive" settles sooner' in told) is ("type" not in given)
     assert bool(told) is ("type" not in given)
+
+
+@pytest.mark.parametrize("law", [{"type": "paper"}, {"type": "adaptive", "adaptive": {"encoder_noise": 0.5}}])
+def test_settings_go_to_another_process_and_back(law: dict[str, Any]) -> None:
+    there = AxisSettings.model_validate(DEMO | {"law": law})
+    back = pickle.loads(pickle.dumps(there))  # noqa: S301 - our own
+    assert back == there
+    assert back.law.keys == there.law.keys

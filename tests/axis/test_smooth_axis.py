@@ -197,3 +197,16 @@ def test_what_cannot_be_smoothed_is_refused(
     with pytest.raises(DesignError, match=text) as caught:
         designed(jerk, law, **keys)
     assert caught.value.key == place
+
+
+def test_a_smoothed_braking_has_as_much_more_time_as_it_takes() -> None:
+    settings = AxisSettings.model_validate(DEMO | {"law": {"type": "adaptive", "jerk": 20_000.0}})
+    rig = AxisRig(Axis(design_axis(settings, PERIOD_S), TRAITS)).cruising()
+    allowed = []
+    for smooth in (False, True):
+        rig.axis.supervision.begin_braking(2000.0, smooth=smooth)
+        allowed.append(rig.axis.supervision._braking_ticks_allowed * PERIOD_S / 2.0)
+    velocity = rig.axis.motion.law.observer.velocity
+    expected = [rig.axis.design.stopping_time_s(velocity, 2000.0, smooth=smooth) for smooth in (False, True)]
+    assert allowed == pytest.approx(expected)
+    assert expected[1] > expected[0] + 0.05
