@@ -201,7 +201,8 @@ async def continuous(world: World) -> str | None:
     tick for the other set-point. The position stage begins at the change-over distance p = f11 T v / f22, equation
     (19), so that is f22 p = f11 T v at most, and the same if the speed stage takes over, which does not count the way
     of that tick; more by the share by which the axis may be faster than its set-point asks for. A law that follows a
-    plan begins in that tick what the new one asks for, by no larger a step than it takes in the same move without it.
+    plan begins in that tick what the new one asks for: an acceleration where it braked, at most, which is twice the
+    step of an acceleration from rest, and more by the same share.
 
     No later step is larger than a turn takes. The response is linear, so a turn from v to -v, which is twice the change
     of speed from rest to v, takes twice the largest step of the same move without the new set-point, and what that move
@@ -217,7 +218,8 @@ async def continuous(world: World) -> str | None:
     speed = max(world.velocity, *(abs(sample.velocity) for sample in world.undisturbed))
     tick_of_the_sum = abs(servo_gains_of(axis.design).f11) * world.period_s * speed * (1.0 + SPEED_TOLERANCE)
     largest, usual_step = _largest_step(world.samples), _largest_step(world.undisturbed)
-    at_once = max(tick_of_the_sum, usual_step) if follows_a_plan(axis.design) else tick_of_the_sum
+    turn = 2.0 * usual_step * (1.0 + SPEED_TOLERANCE)
+    at_once = max(tick_of_the_sum, turn) if follows_a_plan(axis.design) else tick_of_the_sum
     if apart > at_once + 1e-9:
         return f"the new set-point changes the effort by {apart:.4g} at once, {at_once:.4g} is allowed"
     most = max(3.0 * usual_step, usual_step + tick_of_the_sum)
