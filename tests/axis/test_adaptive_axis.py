@@ -123,3 +123,40 @@ def test_a_hard_stop_is_found_and_left(effort: float, load: float) -> None:
     assert (rig.state(), rig.axis.trip) == (State.HOLDING, None)
     assert 56.5 <= rig.position <= 57.0
     assert max(abs(command.effort) for command in rig.commands) <= effort * 1.02
+
+
+@pytest.mark.parametrize("jerk", [None, 20_000.0])
+@pytest.mark.parametrize("learned", [False, True])
+@pytest.mark.parametrize("distance", [0.0, -0.0, 1e-300, 1e-15, -1e-12, 1e-9, 1e-7, -1e-5, 1e-3])
+def test_a_move_to_where_the_axis_stands_is_at_its_end_at_once(
+    distance: float, learned: bool, jerk: float | None
+) -> None:
+    """With a way of nothing the reference did not rise, so the move never ended; a smooth one divided by nothing."""
+    law: dict[str, Any] = {"type": "adaptive"} | ({} if jerk is None else {"jerk": jerk})
+    rig = AxisRig(Axis(design_axis(AxisSettings.model_validate(DEMO | {"law": law}), PERIOD_S), TRAITS)).armed()
+    if learned:
+        rig.axis.move_to(50.0, 100.0)
+        rig.seconds(3.0)
+    for place in (rig.axis.motion.law.observer.position, rig.axis.drive.position, rig.axis.law.target):
+        assert place is not None
+        move = rig.axis.move_to(place + distance, 100.0)
+        rig.seconds(0.3)
+        assert move.outcome == "reached"
+        assert rig.position == pytest.approx(place + distance, abs=0.003)
+
+
+@pytest.mark.parametrize("velocity", [20.0, 100.0, 250.0])
+@pytest.mark.parametrize("distance", [0.001, 0.01, -0.05, 0.1, 0.2, -0.4, 1.0, 5.0])
+def test_on_a_plant_that_is_known_no_move_is_too_short(distance: float, velocity: float) -> None:
+    """A move by 0.001 mm swung by 0.38 mm with 17 V: a braking that ends within a tick was never late."""
+    rig = AxisRig(
+        Axis(design_axis(AxisSettings.model_validate(DEMO | {"law": {"type": "adaptive"}}), PERIOD_S), TRAITS)
+    )
+    rig.armed().axis.move_to(50.0, 100.0)
+    rig.seconds(3.0)
+    move = rig.axis.move_by(distance, velocity)
+    places = [rig.seconds(PERIOD_S).position for _ in range(60)]
+    assert move.outcome == "reached"
+    sign = 1.0 if distance > 0.0 else -1.0
+    assert max(sign * (place - 50.0 - distance) for place in places) < 0.002
+    assert min(sign * (place - 50.0) for place in places) > -0.002

@@ -143,7 +143,8 @@ def test_an_axis_that_has_turned_round_counts_forward_towards_its_set_point(
     [
         (0.139, 3000.0, True, True),  # 7 ms at 20 mm/s are 0.14 mm
         (0.141, 3000.0, True, False),
-        (0.139, 3000.0, False, False),  # it stops within the tick
+        (0.139, 3000.0, False, True),  # it stops within the tick, which takes as much
+        (0.141, 3000.0, False, False),
         (0.239, 1000.0, False, True),  # 20 mm/s and then 10 take 0.14 + 0.1 mm
         (0.241, 1000.0, False, False),
         (0.239, 1000.0, True, True),

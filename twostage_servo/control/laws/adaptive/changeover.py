@@ -136,7 +136,7 @@ class Changeover:
         """Whether the axis would no longer come to rest within the way (axis unit) from a speed a tick ahead."""
         ways, shape, deceleration = self._estimate.model.ways, plan.shape, plan.deceleration
         left = way - ways.alpha * ahead - shape.way
-        if self._smoothing is not None and left < ways.beta * shape.speed:  # less than the tick in which it stops
+        if left < ways.beta * shape.speed:  # less than the tick in which it stops
             return True
         return _ends_late(shape, left, deceleration, ways)
 
@@ -185,6 +185,8 @@ def _needed_evenly(shape: BrakingShape, left: float, ways: Ways) -> float:
     """Return that of a smooth braking, whose first tick may be no steeper than the others: that would be more jerk."""
     if left <= 0.0:
         return copysign(inf, shape.speed)
+    if shape.speed * ways.period_s <= _NOTHING * left:  # it is there, and a slope would be lost in rounding
+        return 0.0
     low, high = 0.0, max(shape.speed, 0.0) / ways.period_s  # all of it in one tick
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)

@@ -18,6 +18,7 @@ paper's law: what has been identified may be what is wrong.
 """
 
 from math import copysign, inf, isfinite, isinf
+from typing import Final
 
 from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.departure import Departure
@@ -37,6 +38,10 @@ _SPEED, _POSITION, _BRAKE = Stage.SPEED, Stage.POSITION, Stage.BRAKE
 _STANDING_SHARE = 0.5
 """Share of the speed of a move up to which an axis counts as standing. The estimate of an axis at rest shows that much
 where a slow move takes hundreds of ticks for each step of its encoder."""
+
+
+_NOTHING: Final = 1e-9
+"""Share of the way of a tick at the speed of a move, up to which an axis at rest stands at its set-point already."""
 
 
 class AdaptiveLaw:
@@ -62,9 +67,9 @@ class AdaptiveLaw:
     """
 
     __slots__ = (
-        "_course", "_departure", "_estimate", "_is_smooth", "_largest_step", "_position_stage", "_rest_velocity",
-        "_speed_stage", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer", "saturated",
-        "speed_reference", "stage", "stop_stage", "target",
+        "_course", "_departure", "_estimate", "_is_smooth", "_largest_step", "_period_s", "_position_stage",
+        "_rest_velocity", "_speed_stage", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer",
+        "saturated", "speed_reference", "stage", "stop_stage", "target",
     )  # fmt: skip
     sample_age = 1
 
@@ -81,6 +86,7 @@ class AdaptiveLaw:
         self._speed_stage = SpeedStage(estimate, self._departure, task, rules)
         self._position_stage = PositionStage(estimate, task, rules)
         self._largest_step = task.effort_rate_limit * task.period_s
+        self._period_s = task.period_s
         self._rest_velocity = task.rest_velocity
         self._is_smooth = isfinite(task.jerk)
         self.changeovers = 0
@@ -106,12 +112,16 @@ class AdaptiveLaw:
         if self.stage is _BRAKE:
             estimate.start(self.observer, self.effort)
         estimate.give_up()
+        if at_rest and abs(target - estimate.position) <= _NOTHING * velocity * self._period_s:
+            self._hold(Course(target, target, velocity))
+            return
         signed_speed, signed_slope = self._reference()
         direction = copysign(1.0, target - estimate.position)
         speed = 0.0 if at_rest else direction * signed_speed
         self._follow(Course(target, course.position, velocity, direction, speed, direction * signed_slope))
         presses = self.saturated and abs(self.observer.velocity) <= self._rest_velocity
-        self._departure.set_out(self.observer.position, leaves_obstacle=presses)
+        # The way that is left is counted from the estimate; one that presses is believed least of all.
+        self._departure.set_out(self.observer.position if presses else estimate.position, leaves_obstacle=presses)
         self.stage = _SPEED
         if at_rest:
             self._departure.hold(self.effort)
