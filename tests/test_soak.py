@@ -40,7 +40,7 @@ LINEAR = KINDS[0]
 
 
 def poles(overrides: list[str], stage: Stage) -> list[complex]:
-    made = design(load(None, overrides), traits=DriveTraits())
+    made = design(load(None, overrides or ["axis.law.type=paper"]), traits=DriveTraits())
     found = closed_loop_poles(made.plant, paper(made).servo_gains, made.kalman, made.noise, stage)
     return sorted(found, key=lambda pole: (round(pole.real, 6), pole.imag))
 
@@ -100,7 +100,7 @@ def test_python_control_designs_the_same_poles_in_other_units(length: float, tim
 @pytest.mark.parametrize("tick_ms", [1.0, 5.0, 20.0])
 def test_another_tick_keeps_the_loop_about_as_quick(tick_ms: float) -> None:
     other = design(load(None, overrides(converted(1.0, 1.0, tick_ms / 1e3))), traits=DriveTraits())
-    demo = design(load(None))
+    demo = design(load(None, ["axis.law.type=paper"]))
     assert other.law.changeover_time_s == pytest.approx(demo.law.changeover_time_s, rel=0.03)
     assert other.law.settling_time_s == pytest.approx(demo.law.settling_time_s, rel=0.03)
 

@@ -30,6 +30,8 @@ from twostage_servo.config.loader import load
 
 MOVE = PlannedMove(400.0, 100.0)
 
+PAPER = "axis.law.type=paper"
+
 
 def axis(*overrides: str, name: str = "demo.toml") -> tuple[AxisDesign, DriveTraits]:
     loaded = load(shipped_configuration(name), list(overrides))
@@ -162,18 +164,18 @@ def test_the_configured_move_is_the_demos_and_the_corners_are_short_long_and_fas
     ],
 )
 def test_a_limit_that_ends_a_move_is_named_with_what_would_do(override: str, key: str | None) -> None:
-    parts = axis(override)
+    parts = axis(PAPER, override)
     move = PlannedMove(1000.0, 250.0)
     tight = tight_limit(*parts, expect(*parts, move, 0.0))
     assert (None if tight is None else tight.key) == key
     if tight is not None:
         assert tight.enough is not None
-        assert respond(*axis(f"axis.limits.{key}={tight.enough}"), move).trip is None
-        assert respond(*axis(f"axis.limits.{key}={tight.value}"), move).trip is tight.trip
+        assert respond(*axis(PAPER, f"axis.limits.{key}={tight.enough}"), move).trip is None
+        assert respond(*axis(PAPER, f"axis.limits.{key}={tight.value}"), move).trip is tight.trip
 
 
 def test_a_limit_of_which_no_larger_value_would_do_is_named_as_well() -> None:
-    parts = axis("axis.limits.effort_rate=1e-3")
+    parts = axis(PAPER, "axis.limits.effort_rate=1e-3")
     tight = tight_limit(*parts, expect(*parts, MOVE, 0.0))
     assert tight is not None
     assert tight.enough is None

@@ -32,7 +32,7 @@ def predictions_after(missed: int, monkeypatch: pytest.MonkeyPatch) -> tuple[int
             axis.step()
         return counted, None if axis.trip is None else axis.trip.code
 
-    return simulate(script)
+    return simulate(script, "axis.law.type=paper")  # which has no observer but the axis' own
 
 
 def test_a_tick_after_a_billion_missed_ones_does_as_much_as_after_a_second(monkeypatch: pytest.MonkeyPatch) -> None:

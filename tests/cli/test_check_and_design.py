@@ -8,10 +8,10 @@ from pathlib import Path
 import can
 import pytest
 
+from tests.demo_file import DEMO, LAW_OF_THE_DEMO
 from twostage_servo.cli.main import main
 
 SHIPPED = Path(str(files("twostage_servo_config")))
-DEMO = (SHIPPED / "demo.toml").read_text(encoding="utf-8")
 
 # (what is replaced in demo.toml, by what, the key that must be named, words that must be there)
 BROKEN = [
@@ -43,8 +43,8 @@ BROKEN = [
     ('interface = "virtual"', 'interface = "virtuall"', "bus.interface", "virtual"),
     ('interface = "virtual"', "interface = 3", "bus.interface", "a text"),
     (
-        "performance_index_ratio = 5.0e-5",
-        "performance_index_ratio = 10.0",
+        LAW_OF_THE_DEMO + "performance_index_ratio = 5.0e-5",
+        '[axis.law]\ntype = "paper"\nperformance_index_ratio = 10.0',
         "axis.law.performance_index_ratio",
         "unstable",
     ),
@@ -128,7 +128,7 @@ def test_every_key_is_explained(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_the_design_of_both_examples(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "--json", "--uncertainty", "0"]) == 0
+    assert main(["design", "--json", "--uncertainty", "0", "--set", "axis.law.type=paper"]) == 0
     first = json.loads(capsys.readouterr().out)
     assert (
         f"{first['gains']['f11']:.2e} {first['gains']['f12']:.2e} {first['gains']['f22']:.1e}"
@@ -142,7 +142,7 @@ def test_the_design_of_both_examples(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def test_the_design_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "--velocity", "200", "--uncertainty", "0"]) == 0
+    assert main(["design", "--velocity", "200", "--uncertainty", "0", "--set", "axis.law.type=paper"]) == 0
     out = capsys.readouterr().out
     assert "f11 0.3775" in out
     assert "109.1 mm before the set-point at 200 mm/s" in out
@@ -191,7 +191,7 @@ def test_check_counts_the_longer_time_of_a_smooth_reference(capsys: pytest.Captu
 
 
 def test_check_refuses_a_jerk_that_the_law_cannot_keep(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "--set", "axis.law.jerk=2500"]) != 0
+    assert main(["check", "--set", "axis.law.type=paper", "--set", "axis.law.jerk=2500"]) != 0
     captured = capsys.readouterr()
     text = captured.out + captured.err
     assert "axis.law.jerk" in text
@@ -301,7 +301,8 @@ def test_check_tells_what_the_configured_and_the_fastest_move_come_to(capsys: py
 def test_a_limit_that_the_configured_move_breaks_is_a_problem_with_the_value_that_would_do(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    tight = ["--set", "axis.limits.velocity=100.5", "--set", "axis.limits.overspeed=101"]
+    limits = ("axis.law.type=paper", "axis.limits.velocity=100.5", "axis.limits.overspeed=101")
+    tight = [word for limit in limits for word in ("--set", limit)]
     assert main(["check", "--json", *tight]) == 2
     (problem,) = json.loads(capsys.readouterr().out)["error"]["problems"]
     assert problem["key"] == "axis.limits.overspeed"
@@ -309,6 +310,6 @@ def test_a_limit_that_the_configured_move_breaks_is_a_problem_with_the_value_tha
 
 
 def test_a_limit_that_the_fastest_move_breaks_is_a_note(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "--json", "--set", "axis.limits.overspeed=251"]) == 0
+    assert main(["check", "--json", "--set", "axis.law.type=paper", "--set", "axis.limits.overspeed=251"]) == 0
     notes = json.loads(capsys.readouterr().out)["notes"]
     assert [note for note in notes if "axis.limits.overspeed is 251, 263.6 would do" in note]

@@ -19,7 +19,7 @@ MOVES = {
 
 @pytest.fixture(scope="module")
 def loops() -> dict[str, LoopAnalysis]:
-    made = design(load(shipped_configuration("demo.toml")))
+    made = design(load(shipped_configuration("demo.toml"), ["axis.law.type=paper"]))
     controllers = {name: loop.controller for name, loop in made.law.loops().items()}
     return {name: LoopAnalysis(made.plant, one) for name, one in controllers.items() if one is not None}
 

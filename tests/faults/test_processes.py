@@ -476,6 +476,7 @@ def test_a_phase_begins_and_passes() -> None:
     change, settle = seen(State.POSITION_STAGE, 99.0, 50.0), seen(State.POSITION_STAGE, 20.0, 4.0)
     hold = seen(State.HOLDING, 0.0, 0.0)
     order = [start, half, cruise, late, change, settle, hold]
+    papers = design(load(None, ["axis.law.type=paper"]))  # whose position stage begins 54.53 mm before the set-point
     for phase, begun, passed in (
         (Phase.ACCELERATING, [half, cruise, late], [cruise, late, change, settle, hold]),
         (Phase.CRUISING, [late], [change, settle, hold]),
@@ -483,7 +484,7 @@ def test_a_phase_begins_and_passes() -> None:
         (Phase.SETTLING, [settle], [start, half, cruise, late, hold]),
         (Phase.HOLDING, [hold], [start, half, cruise, late, change, settle]),
     ):
-        one = approach.Approach(stand_in, design(loaded), phase, cast("Any", None))
+        one = approach.Approach(stand_in, papers, phase, cast("Any", None))
         assert [now for now in order if one.has_begun(now)] == begun, phase
         assert [now for now in order if one.has_passed(now)] == passed, phase
     blind = seen(State.SPEED_STAGE, 100.0, 0.0)

@@ -33,7 +33,7 @@ def test_half_closed_clients_that_do_not_read_are_no_more_than_others(
         operator = await connect(path)
         await operator.done(op="arm")
         await world.until(lambda: world.state() is State.HOLDING)
-        await operator.done(op="move", position=400.0)
+        await operator.done(op="move", position=2000.0)
         before, most = descriptors(), 0
         for number in range(1, 201):
             caller = await call(callers, path, (90 + number % 50) * STATUS)  # more than the kernel takes, or less

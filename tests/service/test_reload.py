@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.demo_file import DEMO
+from tests.demo_file import DEMO, LAW_OF_THE_DEMO
 from tests.service.rig import World, simulate
 from twostage_servo.api.requests import ArmRequest, MoveRequest, ReloadRequest
 from twostage_servo.app.assembly import prepare_axes
@@ -155,7 +155,12 @@ def test_an_axis_that_is_not_disarmed_is_left_as_it_is(state: State) -> None:
     [
         ("cruise_velocity = 100.0 ", "cruise_velocity = 1000.0 ", "axis", "is above limits.velocity"),
         ("pole = 14.0                     # 1/s", "pole = -1.0", "axis.plant.pole", "at least 0.001"),
-        ("index_ratio = 5.0e-5", "index_ratio = 10.0", "axis.law.performance_index_ratio", "unstable"),
+        (
+            LAW_OF_THE_DEMO + "performance_index_ratio = 5.0e-5",
+            '[axis.law]\ntype = "paper"\nperformance_index_ratio = 10.0',
+            "axis.law.performance_index_ratio",
+            "unstable",
+        ),
         ("effort = 24.0 ", "effort = 40.0 ", "axis.limits.effort", "carries at most 32"),
         ('effort_unit = "V"', "effort_unit = 5", "axis.effort_unit", "a text"),
         ("tick_ms = 10.0", "tick_ms = 20.0", "service", "restart the"),

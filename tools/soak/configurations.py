@@ -136,6 +136,7 @@ def converted(length: float, time: float, tick_s: float, *, same_loop: bool = Tr
         "axis.cruise_velocity": axis.cruise_velocity * speed,
         "axis.plant.gain": axis.plant.gain * length / time**2,
         "axis.plant.pole": axis.plant.pole / time,
+        "axis.law.type": "paper",
         "axis.law.performance_index_ratio": axis.law.paper.performance_index_ratio / length**2 * r**2,
         "axis.observer.position_variance": observer.position_variance * length**2 * r,
         "axis.observer.velocity_variance": observer.velocity_variance * speed**2 * r,

@@ -78,7 +78,7 @@ def test_with_all_of_them_off_the_efforts_are_the_papers(
 def test_with_all_of_them_off_the_demo_is_the_papers_frame_by_frame(capsys: pytest.CaptureFixture[str]) -> None:
     hashes = []
     off = [f"axis.law.adaptive.{part}=false" for part in PARTS]
-    for keys in ((), ("axis.law.type=adaptive", *off), ("axis.law.type=adaptive",)):
+    for keys in (("axis.law.type=paper",), ("axis.law.type=adaptive", *off), ("axis.law.type=adaptive",)):
         main(["demo", "--fast", "--json", *(part for key in keys for part in ("--set", key))])
         hashes.append(json.loads(capsys.readouterr().out)["trace_sha256"])
     assert hashes[0] == hashes[1] != hashes[2]
