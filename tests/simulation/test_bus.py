@@ -293,3 +293,20 @@ def test_a_drive_and_a_controller_meet_on_it_in_simulated_time(profile: DrivePro
     # The drive answers in its next cycle of 1 ms at the latest, and 3 ms later the answer is there.
     assert len(ages) > 40
     assert all(age_s is not None and 0.0059 < age_s < 0.0071 for age_s in ages[2:])
+
+
+@pytest.mark.parametrize("by_s", [3600.0, -3600.0])
+def test_a_frame_on_its_way_arrives_though_the_clock_is_set(rig: Rig, by_s: float) -> None:
+    """With the stamp of before; it waited for an hour where the clock was set back."""
+    rig.wire.disturb(lambda _sender, message, _now_s: [(0.25, message)])
+    rig.send(1)
+    rig.clock.now_s += by_s
+    rig.wire.clock_was_set(by_s)
+    assert rig.received(rig.b) == []
+    rig.clock.now_s += 0.25
+    assert rig.received(rig.b) == [(1, 5.25)]
+    rig.send(2)
+    rig.clock.now_s += 0.25
+    ((number, stamp_s),) = rig.received(rig.b)
+    assert number == 2
+    assert stamp_s == pytest.approx(5.5 + by_s)

@@ -78,6 +78,8 @@ class Wires:
     def shift_wall_clock(self, by_s: float) -> None:
         """Set the clock that stamps the frames forwards by a time in s, or back if it is negative."""
         self.wall_offset_s += by_s
+        for wire in self._wires.values():
+            wire.clock_was_set(by_s)
 
     def wire(self, bus: BusSettings) -> Wire:
         """Return the wire that stands for a bus; it is made when it is new."""

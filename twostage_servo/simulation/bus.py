@@ -48,6 +48,14 @@ class Wire:
         """Let each frame arrive at once, as without a disturbance."""
         self._disturbance = None
 
+    def clock_was_set(self, by_s: float) -> None:
+        """Let frames on their way arrive when they would have, now that the clock shows so many s more.
+
+        Their stamps are those of before.
+        """
+        for node in self._nodes.values():
+            node.delay(by_s)
+
     def node(self, name: str) -> "WireNode":
         """Return the node of this name, which outlives the buses that are attached at it; made when it is new."""
         if name not in self._nodes:
@@ -157,6 +165,10 @@ class WireNode:
             self.dropped += 1
         for listener in self._listeners:
             listener()
+
+    def delay(self, by_s: float) -> None:
+        """Let all frames on their way arrive so many s later by the clock; their stamps stay."""
+        self._queue = [(arrival_s + by_s, number, message) for arrival_s, number, message in self._queue]
 
     @property
     def next_arrival_s(self) -> float:
