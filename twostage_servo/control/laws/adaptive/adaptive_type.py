@@ -40,7 +40,10 @@ class AdaptiveSettings(Settings):
         True, description="Whether moves from rest identify gain, pole, load and delay of the plant"
     )
     delay: bool = Field(True, description="Whether identification looks for a delay of the effort by a tick as well")
-    caution: bool = Field(True, description="Whether a first move takes some ticks more to accelerate and to brake")
+    caution: bool = Field(
+        True,
+        description="Whether moves accelerate by less the faster they are, and a first one brakes over some ticks more",
+    )
     departure: bool = Field(True, description="Whether the effort is held back until the axis is seen to move")
     friction: bool = Field(
         True, description="Whether friction is given up as a motion ends, behind a noisy encoder: it no longer acts"
