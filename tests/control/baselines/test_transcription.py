@@ -9,7 +9,7 @@ from typing import Any
 import control
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -360,6 +360,7 @@ def test_after_the_changeover_the_effort_moves_by_no_more_than_one_tick_of_way(
 
 @settings(max_examples=40)
 @given(gain=st.floats(1.0, 3e3), turned=st.booleans(), pole=st.floats(0.3, 100.0), exponent=st.floats(-6.0, -1.0))
+@example(gain=1685.4114143748752, turned=False, pole=0.3, exponent=-6.0)
 def test_erratum_1_the_printed_cost_does_not_see_a_constant_error(
     gain: float,
     turned: bool,

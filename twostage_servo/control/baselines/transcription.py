@@ -85,7 +85,12 @@ def read_gains(plant: DiscretePlant, ratio: float, reading: Reading) -> ServoGai
     change = state - np.eye(3)
     weight = ratio * np.diag(reading.weights)
     effort_cost, cross_cost = 1.0 + effort.T @ weight @ effort, change.T @ weight @ effort
-    cost = solve_discrete_are(state, effort, change.T @ weight @ change, effort_cost, s=cross_cost)
+    try:
+        cost = solve_discrete_are(state, effort, change.T @ weight @ change, effort_cost, s=cross_cost)
+    except ValueError as error:  # the pole of the sum cannot be put inside the circle, nor outside
+        raise UnsolvableError(
+            f"(11) with the cost on the increment of x_p cannot be solved: a constant error costs nothing ({error})"
+        ) from error
     f = np.linalg.solve(effort_cost + effort.T @ cost @ effort, effort.T @ cost @ state + cross_cost.T)
     slowest = float(np.max(np.abs(np.linalg.eigvals(state - effort @ f))))
     raise UnsolvableError(
