@@ -13,6 +13,8 @@ from twostage_servo.axis.refusals import Refused
 from twostage_servo.axis.settings import AxisSettings
 from twostage_servo.axis.state import State
 from twostage_servo.axis.trips import TripCode
+from twostage_servo.config.files import shipped_configuration
+from twostage_servo.config.loader import load
 from twostage_servo.control.laws.law import LearningLaw
 from twostage_servo.control.plant import Plant
 
@@ -160,3 +162,26 @@ def test_on_a_plant_that_is_known_no_move_is_too_short(distance: float, velocity
     sign = 1.0 if distance > 0.0 else -1.0
     assert max(sign * (place - 50.0 - distance) for place in places) < 0.002
     assert min(sign * (place - 50.0) for place in places) > -0.002
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("file", ["metres.toml", "rotary_table.toml", "fast_tick.toml", "plain_drive.toml"])
+def test_short_moves_arrive_on_axes_of_other_units_and_ticks(file: str, smooth: bool) -> None:
+    """Of nothing, and from a millionth of the position window to four of it; on a plant that is known."""
+    path, law = shipped_configuration(file), "axis.law.type=adaptive"
+    jerk = 10.0 * load(path).config.axis.limits.acceleration
+    config = load(path, [law, f"axis.law.jerk={jerk}"] if smooth else [law]).config
+    settings, design = config.axis, design_axis(config.axis, config.service.tick_ms / 1e3)
+    rig = AxisRig(Axis(design, TRAITS), Plant(settings.plant.gain, settings.plant.pole), design.period_s)
+    window, velocity = settings.window.position, settings.cruise_velocity
+    rig.seconds(10.0 * design.period_s)
+    rig.axis.set_position(0.0)
+    rig.seconds(10.0 * design.period_s)
+    rig.axis.arm()
+    rig.seconds(0.5)
+    for distance in (0.0, velocity, 0.0, 1e-6 * window, 0.02 * window, 0.3 * window, 4.0 * window):
+        move = rig.axis.move_by(distance, velocity)
+        target = rig.axis.set_point
+        farthest = max(rig.seconds(design.period_s).position for _ in range(round(6.0 / design.period_s)))
+        assert move.outcome == "reached", (distance, rig.axis.trip)
+        assert farthest <= target + 0.02 * window, distance

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twostage_servo.control.laws.adaptive.acceptance import cautious
-from twostage_servo.control.laws.adaptive.changeover import Changeover, _Plan
+from twostage_servo.control.laws.adaptive.changeover import Changeover, _needed_evenly, _Plan
 from twostage_servo.control.laws.adaptive.departure import Departure
 from twostage_servo.control.laws.adaptive.reference import Shape, Ways
 from twostage_servo.control.laws.adaptive.speed_stage import SpeedStage
@@ -185,7 +185,7 @@ def test_identification_ends_in_a_cruise_that_has_shown_enough_or_has_lasted_lon
     assert (ended[0] if ended else None) == ends_at
 
 
-@pytest.mark.parametrize(("acceleration", "least_s"), [(5.0, 0.01), (1.0, 0.05)])
+@pytest.mark.parametrize(("ticks", "least_s"), [(5.0, 0.01), (1.0, 0.05)])
 @pytest.mark.parametrize(
     ("cautious", "new", "smooth", "speed", "cruise", "target", "rise"),
     [
@@ -210,11 +210,11 @@ def test_the_speed_rises_by_less_the_faster_it_is(
     cruise: float,
     target: float,
     rise: float,
-    acceleration: float,
+    ticks: float,
     least_s: float,
 ) -> None:
     stage: Any = SimpleNamespace(
-        _rules=SimpleNamespace(is_cautious=cautious, acceleration=acceleration, acceleration_s=least_s, overreach=1.2),
+        _rules=SimpleNamespace(is_cautious=cautious, acceleration_ticks=ticks, acceleration_s=least_s, overreach=1.2),
         _estimate=SimpleNamespace(learning=SimpleNamespace(is_new=new)),
         _departure=SimpleNamespace(position=0.0),
         _smoothing="some" if smooth else None,
@@ -325,3 +325,12 @@ def test_a_first_move_is_not_pushed_by_more_than_the_least_of_gains_asks_for(
     plant = cautious(Plant(sign * gain * 180.0, 9.0), Plant(sign * 180.0, 14.0))
     assert plant.gain == pytest.approx(sign * kept * 180.0)
     assert plant.pole == 9.0
+
+
+@pytest.mark.parametrize(
+    ("speed", "left", "needed"),
+    [(0.0, 0.3, 0.0), (1e-310, 0.3, 0.0), (1e-9, 0.3, 0.0), (10.0, 0.0, math.inf), (10.0, -0.1, math.inf)],
+)
+def test_what_stands_or_has_no_way_left_needs_no_slope_or_any(speed: float, left: float, needed: float) -> None:
+    """A slope of so little was divided by, once it was rounded to nothing."""
+    assert _needed_evenly(Shape(1.0, speed, 1, 0.0), left, Ways(0.003, 0.007, 0.01)) == needed

@@ -78,7 +78,7 @@ class Rules:
     ----------
     braking_share
         Share of what the effort limit could brake with that the reference asks for; the rest is the feedback's.
-    acceleration, acceleration_s, overreach
+    acceleration_ticks, acceleration_s, overreach
         Time constant of an acceleration, in ticks of the loops (:func:`loop_period_s`) and in s, whichever is longer,
         and the multiple of the cruise velocity that it aims at: the reference rises by less the faster it is. There is
         time to identify; and what the drive holds if its host fails, until its own time-out of some 100 ms, drives the
@@ -103,7 +103,7 @@ class Rules:
     """
 
     braking_share: float = 0.66
-    acceleration: float = 5.7
+    acceleration_ticks: float = 5.7
     acceleration_s: float = 0.057
     overreach: float = 1.3
     first_braking: float = 7.188

@@ -127,7 +127,7 @@ class SpeedStage:
         # A smooth one rises by less at its end in any case.
         if not rules.is_cautious or (self._smoothing is not None and not is_new):
             return self._ramp
-        rising_s = max(rules.acceleration * self._loop_period_s, rules.acceleration_s)
+        rising_s = max(rules.acceleration_ticks * self._loop_period_s, rules.acceleration_s)
         quickest = (rules.overreach * course.cruise_velocity - course.speed) / rising_s
         if is_new:
             quickest = min(quickest, abs(course.target - self._departure.position) / rising_s**2)
