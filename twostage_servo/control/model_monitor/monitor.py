@@ -11,7 +11,8 @@ surprised by is what has to be explained: nothing is decided that a healthy axis
 from the start, or a drive whose gain has changed. Squared innovations are summed in an exponential window and compared:
 multiple-model estimation (Y. Bar-Shalom, X. R. Li, T. Kirubarajan, *Estimation with Applications to Tracking and
 Navigation*, 2001, section 11.6), with a threshold on the ratio in place of its probabilities. A reversed sign
-is compared over a short window as well: :mod:`twostage_servo.control.model_monitor.reversal`.
+is compared over a short window as well: :mod:`twostage_servo.control.model_monitor.reversal`; and one that has turned
+round of late, by plants that begin afresh: :mod:`twostage_servo.control.model_monitor.recent_reversal`.
 
 *A change of the encoder*: :mod:`twostage_servo.control.model_monitor.encoder_change`.
 
@@ -35,6 +36,7 @@ from twostage_servo.control.model_monitor.hypotheses import (
     slow_observer,
 )
 from twostage_servo.control.model_monitor.identified_plant import IdentifiedPlant
+from twostage_servo.control.model_monitor.recent_reversal import RecentReversal
 from twostage_servo.control.model_monitor.reversal import ReversalWatch
 from twostage_servo.control.model_monitor.surprise import Surprise
 from twostage_servo.control.observer import DisturbanceObserver, NoiseModel
@@ -93,7 +95,7 @@ class ModelMonitor:
     __slots__ = (
         "_accepted", "_changes", "_date_share_s", "_forgetting", "_gains", "_identified",
         "_innovation", "_is_lasting", "_late_effort", "_least", "_least_at_rest", "_next", "_noise_square", "_origins",
-        "_reversal", "_samples", "_still_sum", "_sums", "_window", "is_sure", "surprise",
+        "_recent", "_reversal", "_samples", "_still_sum", "_sums", "_window", "is_sure", "surprise",
     )  # fmt: skip
 
     def __init__(self, plant: Plant, period_s: float, noise: NoiseModel, date_error_s: float = 0.0) -> None:
@@ -109,6 +111,7 @@ class ModelMonitor:
         ]
         signs = [one for one, other in zip(self._gains, OTHER_GAINS, strict=True) if other.factor < 0.0]
         self._reversal = ReversalWatch(signs, period_s)
+        self._recent = RecentReversal(plant, period_s, noise)
         of_plants = [(factor, index) for index in CHANGE_PLANTS for factor in CHANGE_FACTORS if factor or not index]
         self._changes = [EncoderChange(factor, ACCEPTED[i], plant, period_s, noise) for factor, i in of_plants]
         # The law's own observer is the estimate of the model; it may be another one from tick to tick.
@@ -147,6 +150,7 @@ class ModelMonitor:
         self._sums = [self._window.total] * len(OTHER_GAINS)
         self.surprise = self._window.total**0.5
         self._reversal.start(model.innovation * model.innovation)
+        self._recent.start()
 
     def accept(self, plant: Plant, estimate: Estimate, *, is_late: bool) -> None:
         """Accept a plant that has been identified as well, in place of one before it.
@@ -174,6 +178,7 @@ class ModelMonitor:
             observer.continue_from(model)
         self._sums = [self._window.total] * len(OTHER_GAINS)
         self._reversal.start(0.0)
+        self._recent.start()
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower."""
@@ -185,6 +190,7 @@ class ModelMonitor:
             observer.shift(distance)
         for change in self._changes:
             change.shift(distance)
+        self._recent.start()
         self._samples = [sample + distance for sample in self._samples]
 
     def predict(self, effort: float) -> None:
@@ -198,6 +204,7 @@ class ModelMonitor:
             observer.predict(effort)
         for change in self._changes:
             change.predict(effort)
+        self._recent.start()
 
     def update(
         self, sample: float, effort: float, model: DisturbanceObserver, speed: float, lag_s: float = 0.0
@@ -227,6 +234,8 @@ class ModelMonitor:
         self._next = (self._next + 1) % len(self._samples)
         self._still_sum = kept * self._still_sum + step * step
         self._reversal.update(least_square, step * step)
+        dated = sample + model.velocity * lag_s
+        self._recent.update(dated, effort, late_effort, least_square, is_surprised=self._is_lasting)
         self._least = self._least_at_rest + self._date_share_s * speed
         self.is_sure = least_square <= self._least * self._least
         noise_square = self._noise_square
@@ -273,7 +282,7 @@ class ModelMonitor:
             return max(certain, key=EncoderChange.evidence).factor
         if not self._is_lasting:
             return None
-        if self._reversal.is_certain(self._least, STILL_EVIDENCE):
+        if self._reversal.is_certain(self._least, STILL_EVIDENCE) or self._recent.is_certain(self._least):
             return -1.0
         needed = [other.evidence * total for other, total in zip(OTHER_GAINS, self._sums, strict=True)]
         least = min(needed)
@@ -325,6 +334,8 @@ class ModelMonitor:
             # What less than it takes to decide anything does not tell apart is likelier of the model.
             enough = max(min(change.own_sum for change in changes), self._least * self._least)
             return next(change for change in changes if change.own_sum <= enough).reckon()
+        if factor < 0.0 and self._recent.is_certain(self._least):
+            return self._recent.reckon()
         likely = [(self._sums[index], index) for index, other in enumerate(OTHER_GAINS) if other.factor == factor]
         in_short = factor < 0.0 and self._reversal.is_certain(self._least, STILL_EVIDENCE)
         _, best = likely[self._reversal.likeliest] if in_short else min(likely)
