@@ -11,7 +11,7 @@ from twostage_servo.axis.sample_date import SampleDate
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
 from twostage_servo.axis.tracking import Tracking
-from twostage_servo.control.laws.law import SmoothLaw, Stage
+from twostage_servo.control.laws.law import SmoothLaw, Stage, TimedLaw
 from twostage_servo.control.per_time import kept_in
 
 IMPLAUSIBLE_SAMPLES = 2
@@ -27,6 +27,9 @@ estimate that is right to a thousandth of the innovation gate takes up to a seco
 
 _LONGEST_PREDICTION_MS = 1000.0
 """Time for which missed ticks are predicted one by one: a tick after a suspension of hours must not take seconds."""
+
+_IN_TIME = 0.005
+"""Share of a period up to which an effort counts as in time: what that does to the speed, no encoder shows."""
 
 _NOISE_DEVIATIONS = 3.0
 """Standard deviations of the measured position by which an encoder has to go on for its axis to move."""
@@ -91,7 +94,11 @@ class Motion:
         self._jerk = design.jerk
         self._limits = design.settings.limits
         self._date = SampleDate(self.law.observer, drive, design.period_s)
+        self._date_error_s = _IN_TIME * design.period_s
+        self._timed_law = self.law if isinstance(self.law, TimedLaw) else None
         self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
+        self._effort_before = 0.0
+        self._late_share = 0.0  # of the period, before it began to act
         self._resolution = 1.5 * resolution
         noise: float = design.noise.measurement_variance**0.5
         self._tracking = Tracking(self.law.observer, drive, self._gate, noise)
@@ -117,7 +124,7 @@ class Motion:
     def start(self, effort: float = 0.0) -> None:
         """Hold from here on; the observer has been tracking the axis, on which `effort` (effort unit) acts."""
         self.law.start(effort)
-        self._effort = effort
+        self._effort = self._effort_before = effort
         self.nominal.continue_from(self.law)
         self.model_monitor.start(self.law.observer, effort)
         self._gap.close()
@@ -174,6 +181,10 @@ class Motion:
         """Open a tick, before which some were missed."""
         self._date.begin_tick(missed)
 
+    def act_late(self, share: float) -> None:
+        """Account for the last effort having begun to act late, by a share of a period, in which the one before did."""
+        self._late_share = share if share > _IN_TIME else 0.0
+
     def skip(self, periods: int) -> None:
         """Account for ticks that were missed.
 
@@ -184,31 +195,35 @@ class Motion:
         self._date.begin_gap()
         self._skipped += periods
         for _ in range(periods):
-            self._gap.miss(law.observer, law.effort)
+            acted = self._acted
+            self._gap.miss(law.observer, acted)
+            self._tell_timing(acted, 0.0)
             law.skip(1)
             self._date.record_missed()
-            self.model_monitor.predict(law.effort)
+            self.model_monitor.predict(acted)
         self.nominal.skip(periods)
 
     def step(self) -> float:
         """Run the law for a tick and return the effort in effort unit."""
-        sample, before = self._believed_sample(), self._effort
+        acted = self._acted
+        sample = self._believed_sample(acted)
         if self._drive.fresh:
             shown, self._shown = self._shown, self._drive.position
             self._stands = shown is not None and abs(shown - (self._shown or 0.0)) <= self._resolution
         lag = self._date.lag_periods
         if sample is not None and lag:
-            self._gap.reopen(lag, self.law.observer, before)
+            self._gap.reopen(lag, self.law.observer, acted)
         elif sample is not None:
             self._gap.accept()
-        self._effort = self.law.step(sample)
+        self._tell_timing(acted, self._date.lag_s)
+        self._effort_before, self._effort = self._effort, self.law.step(sample)
         self.nominal.step(None)
         if sample is None:
             self.predicted += 1
         if sample is None or lag:  # one from before a gap says nothing of how the plant has answered since
-            self.model_monitor.predict(before)
+            self.model_monitor.predict(acted)
         elif self._skipped >= self._long_gap_ticks:
-            self.model_monitor.start(self.law.observer, before)
+            self.model_monitor.start(self.law.observer, acted)
             if self._gap.surprise <= _NO_SURPRISE * self.model_monitor.least:
                 self._skipped = 0
         else:
@@ -217,7 +232,7 @@ class Motion:
             self._speed_of_late = max(self._fading * self._speed_of_late, abs(self.law.observer.velocity))
             shown = self._drive.position
             assert shown is not None  # noqa: S101 - the sample is made from it
-            self.model_monitor.update(shown, before, self.law.observer, self._speed_of_late, self._date.lag_s)
+            self.model_monitor.update(shown, acted, self.law.observer, self._speed_of_late, self._date.lag_s)
         self.plant.tell(self.model_monitor)
         if sample is not None:
             self._compare_with_the_last()
@@ -321,6 +336,21 @@ class Motion:
             # axis would creep on behind an encoder that shows nothing.
             observer.correct(observer.velocity, self._load.load)
 
+    @property
+    def _acted(self) -> float:
+        """The mean effort since the last tick, in effort unit: where the last one came late, the one before acted on.
+
+        It has the same effect on the speed. What the way differs by is at most a quarter of what the speed makes of it
+        in a period.
+        """
+        return self._effort + self._late_share * (self._effort_before - self._effort)
+
+    def _tell_timing(self, acted: float, lag_s: float) -> None:
+        """Tell the law what was not in time, if anything was."""
+        share, self._late_share = self._late_share, 0.0
+        if self._timed_law is not None and (share or abs(lag_s) > self._date_error_s):
+            self._timed_law.tell_timing(acted, share, lag_s, self._date.dating)
+
     def _compare_with_the_last(self) -> None:
         """Compare what the encoder shows, not dated: an encoder that stands still has no speed to date it by.
 
@@ -335,13 +365,16 @@ class Motion:
         self.unchanged_effort = min(abs(effort - before), abs(effort - holding))
         self._recent.append(sample)
 
-    def _believed_sample(self) -> float | None:
-        """Return this tick's sample; None if there is none, or none that lies where the model expects it."""
-        sample, observer = self._date.sample(), self.law.observer
+    def _believed_sample(self, acted: float) -> float | None:
+        """Return this tick's sample; None if there is none, or none that lies where the model expects it.
+
+        `acted` is the effort of the period before, in effort unit.
+        """
+        sample, observer = self._date.sample(self._effort_before), self.law.observer
         if self.blind:
             return None
         if sample is None:
-            self._gap.miss(observer, self._effort)
+            self._gap.miss(observer, acted)
             return None
         distance = sample - observer.position
         if abs(distance) <= self.innovation_gate:

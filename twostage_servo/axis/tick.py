@@ -67,9 +67,20 @@ class AxisTick:
         self._driven = driven
         self._latch = latch
 
-    def begin(self, tick: int, missed: int) -> None:
-        """Open a tick: its index, and how many were missed just before it."""
+    def begin(self, tick: int, missed: int, late_s: float = 0.0) -> None:
+        """Open a tick.
+
+        Parameters
+        ----------
+        tick
+            Its index.
+        missed
+            How many were missed just before it.
+        late_s
+            How long after its own deadline the last command left, in s.
+        """
         motion = self._motion
+        motion.act_late(min(1.0, max(0.0, late_s / self._design.period_s)))
         self._latch.begin_tick(tick)
         self._watch.begin_tick(missed)
         driven = self._machine.state in DRIVEN

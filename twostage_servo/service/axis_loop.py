@@ -90,9 +90,15 @@ class AxisLoop:
 
     def begin_tick(self, tick: Tick) -> None:
         """Open a tick."""
-        self.axis.begin_tick(tick.index, tick.missed)
+        self.axis.begin_tick(tick.index, tick.missed, self._late_s(tick))
         self.receiver.begin_tick(tick, self._sent_s)
         self._missed = tick.missed
+
+    def _late_s(self, tick: Tick) -> float:
+        """Return how long after its deadline the last command left, in s; one that the bus has not taken never did."""
+        if self._sent_s is None:
+            return self._period_s if self._dropped_in_a_row else 0.0
+        return self._sent_s - (tick.deadline_s - (1 + tick.missed) * self._period_s)
 
     def replace_axis(self, axis: Axis) -> None:
         """Put a disarmed axis of other settings in the place of the present one; it knows what that knew."""

@@ -94,9 +94,9 @@ class TwoStageLaw:
     """
 
     __slots__ = (
-        "_braking", "_changeover_time", "_direction", "_f11", "_f12", "_f22", "_largest_step", "_offset", "_ramp",
-        "_ramp_limit", "_sum", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer",
-        "period_s", "saturated", "speed_reference", "stage", "stop_stage", "target",
+        "_braking", "_changeover_time", "_direction", "_f11", "_f12", "_f22", "_largest_step", "_late_effort",
+        "_offset", "_ramp", "_ramp_limit", "_sum", "changeovers", "cruise_velocity", "effort", "effort_limit",
+        "observer", "period_s", "saturated", "speed_reference", "stage", "stop_stage", "target",
     )  # fmt: skip
     sample_age = 1
 
@@ -134,6 +134,7 @@ class TwoStageLaw:
         self.target = position
         self.cruise_velocity = self.speed_reference = 0.0
         self.effort = self._sum = effort
+        self._late_effort = 0.0  # what has acted less the last effort, which came late
         self.saturated = self._braking = False
         self._ramp = self._ramp_limit
         self._offset = -position
@@ -217,14 +218,15 @@ class TwoStageLaw:
         float
             The effort in effort unit, within the effort limit.
         """
-        observer = self.observer
+        observer, acted = self.observer, self.effort + self._late_effort
+        self._late_effort = 0.0
         if sample is None:
             sample = observer.position
         if self.stage is _BRAKE:
-            self.stop_stage.update(observer, sample, self.effort)
+            self.stop_stage.update(observer, sample, acted)
             self.effort = self._braking_effort()
             return self.effort
-        observer.update(sample, self.effort)
+        observer.update(sample, acted)
         velocity = observer.velocity
         if self.stage is _POSITION:
             self._sum += self._f22 * (self.target - sample)
@@ -251,7 +253,12 @@ class TwoStageLaw:
     def skip(self, periods: int) -> None:
         """Account for periods in which no step was made: the last effort acted on, unseen."""
         for _ in range(periods):
-            self.observer.predict(self.effort)
+            self.observer.predict(self.effort + self._late_effort)
+            self._late_effort = 0.0
+
+    def tell_timing(self, acted: float, late_share: float, lag_s: float, dating: float) -> None:  # noqa: ARG002
+        """Tell which effort (effort unit) has acted in place of the last one; see :class:`.TimedLaw`."""
+        self._late_effort = acted - self.effort
 
     def limit_effort(self, limit: float) -> None:
         """Keep the magnitude of the effort within a limit (effort unit) from the next step on."""

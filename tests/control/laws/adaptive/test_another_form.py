@@ -10,7 +10,7 @@ from tests.control.laws.adaptive.test_adaptive_law import PERIOD_S, law_of, task
 from tools.bench.control_quality.suite import Case, run
 from tools.bench.control_quality.true_plant import TrueAxis, TruePlant
 from twostage_servo.control.laws.adaptive.acceptance import poor_fit
-from twostage_servo.control.laws.adaptive.identification import Fit, Prior
+from twostage_servo.control.laws.adaptive.identification import Acted, Fit, Prior
 from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
 from twostage_servo.control.laws.adaptive.rules import LearningRules
 from twostage_servo.control.laws.rejection import Rejection, RejectionCode
@@ -199,9 +199,9 @@ def fits_of(axis: TrueAxis, ticks: int) -> tuple[Fit, Fit]:
     for tick in range(ticks):
         effort = min(2.0 * (tick + 1), 12.0)
         plant.advance(effort)
-        soon.update(plant.sample(), effort)
+        soon.update(plant.sample(), Acted(effort))
         if tick:
-            late.update(plant.sample(), before)
+            late.update(plant.sample(), Acted(before))
         before = effort
     return soon, late
 

@@ -8,6 +8,7 @@ import pytest
 
 from tests.control.laws.adaptive.test_adaptive_law import Rig, task
 from twostage_servo.control.laws.adaptive.departure import Departure
+from twostage_servo.control.laws.adaptive.identification import Acted
 from twostage_servo.control.laws.adaptive.learning import Learning
 from twostage_servo.control.laws.adaptive.rules import LearningRules
 from twostage_servo.control.laws.law import Stage
@@ -127,7 +128,7 @@ def test_which_delay_is_likelier(moves: int, known: float, gap: float, late: boo
     vars(soon).update(shown, evidence=0.0)
     vars(after).update(shown, evidence=gap)
     made.moves, made._delay_evidence = moves, known
-    found = made.update(1.0, 3.0, 3.0)
+    found = made.update(1.0, Acted(3.0), Acted(3.0))
     assert found is not None
     assert made.is_late is late
 
@@ -135,7 +136,7 @@ def test_which_delay_is_likelier(moves: int, known: float, gap: float, late: boo
 def test_a_move_shows_something_from_the_sample_after_that_in_which_a_first_effort_has_acted() -> None:
     made = Learning(CONFIGURED, LearningRules(), 0.01, 24.0)
     made.begin(1.0, 0.0, 0.01)
-    found = [made.update(sample, 1.0, 1.0) for sample in (0.0, 0.0, 0.009, 0.034)]
+    found = [made.update(sample, Acted(1.0), Acted(1.0)) for sample in (0.0, 0.0, 0.009, 0.034)]
     assert [one is None for one in found] == [True, True, True, False]
 
 

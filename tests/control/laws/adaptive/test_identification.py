@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tools.bench.control_quality.true_plant import TrueAxis, TruePlant
-from twostage_servo.control.laws.adaptive.identification import Fit, Prior, widened
+from twostage_servo.control.laws.adaptive.identification import Acted, Fit, Prior, widened
 
 PERIOD_S = 0.01
 PRIOR = Prior(180.0, 14.0, 0.3, 0.17, 0.17, 0.46)
@@ -41,7 +41,7 @@ def test_it_is_the_least_squares_solution_with_the_prior() -> None:
         speed = values[0] * once - values[1] * sample - values[2] * index * PERIOD_S
         rows.append([twice, PERIOD_S**2 / 12.0 * speed - path, -0.5 * (index * PERIOD_S) ** 2, 1.0])
         seen.append(sample)
-        fit.update(sample, acted)
+        fit.update(sample, Acted(acted))
     gain, load = PRIOR.gain, PRIOR.load
     root = np.array(
         [
@@ -73,7 +73,7 @@ def test_a_plant_is_known_after_the_start_of_a_move(gain: float, pole: float, lo
     samples, efforts = start_of_a_move(axis, 40)
     fit = Fit(PRIOR._replace(load=0.0, load_spread=1.5), 0.003, PERIOD_S)
     for sample, acted in zip(samples[1:], efforts, strict=False):
-        fit.update(sample, acted)
+        fit.update(sample, Acted(acted))
     assert fit.gain == pytest.approx(axis.gain, rel=0.03)
     assert fit.pole == pytest.approx(axis.pole, rel=0.05)
     assert fit.load == pytest.approx(load + friction, abs=0.15)
@@ -84,11 +84,11 @@ def test_an_effort_that_acts_a_tick_later_is_likelier_by_the_late_fit() -> None:
         samples, efforts = start_of_a_move(TrueAxis(180.0, 14.0, delay_ticks=delay), 20)
         soon, late = Fit(PRIOR, SPREAD, PERIOD_S), Fit(PRIOR, SPREAD, PERIOD_S)
         for index, sample in enumerate(samples[1:], 1):
-            soon.update(sample, efforts[index - 1])
+            soon.update(sample, Acted(efforts[index - 1]))
             if index == 1:
                 late.begin_late(sample)
             else:
-                late.update(sample, efforts[index - 2])
+                late.update(sample, Acted(efforts[index - 2]))
         assert (late.evidence < soon.evidence - 3.0) is (delay == 1)
 
 
@@ -105,16 +105,16 @@ def test_its_spread_is_that_of_its_errors() -> None:
         for index in range(30):
             effort = min(2.0 * (index + 1), 9.0)
             plant.advance(effort)
-            fit.update(plant.sample() - origin, effort)
+            fit.update(plant.sample() - origin, Acted(effort))
         errors.append(((fit.gain - gain) / (fit.gain_share * fit.gain)) ** 2)
     assert 0.6 < sum(errors) / len(errors) < 1.6
 
 
 def test_a_sample_that_is_lost_changes_nothing_of_what_is_believed() -> None:
     fit = Fit(PRIOR, SPREAD, PERIOD_S)
-    fit.update(0.02, 4.0)
+    fit.update(0.02, Acted(4.0))
     before = fit.gain, fit.pole, fit.load, fit.samples
-    fit.update(None, 6.0)
+    fit.update(None, Acted(6.0))
     assert (fit.gain, fit.pole, fit.load, fit.samples) == before
 
 
@@ -130,7 +130,7 @@ def test_where_a_sample_is_lost_it_goes_on_with_the_plant_that_it_has_found() ->
     samples, efforts = start_of_a_move(axis, 36)
     fit = Fit(PRIOR._replace(load=0.0), 0.003, PERIOD_S)
     for index, (sample, acted) in enumerate(zip(samples[1:], efforts, strict=False)):
-        fit.update(None if index in (31, 33) else sample, acted)
+        fit.update(None if index in (31, 33) else sample, Acted(acted))
         if index >= 31:
             assert fit.position == pytest.approx(sample, abs=0.05)
     assert fit.samples == 33

@@ -8,6 +8,7 @@ import pytest
 
 from tests.control.laws.adaptive.test_adaptive_law import Rig, task
 from twostage_servo.control.laws.adaptive.course import Course
+from twostage_servo.control.laws.adaptive.identification import Acted
 from twostage_servo.control.laws.adaptive.law import AdaptiveLaw
 from twostage_servo.control.laws.adaptive.learning import Learning
 from twostage_servo.control.laws.adaptive.placement import Pair, Poles
@@ -107,7 +108,7 @@ def learning(ticks: int, *, surprise: float = 50.0) -> Learning:
     made = Learning(Plant(180.0, 14.0), LearningRules(surprise=surprise), 0.01, 24.0)
     made.begin(1.0, 0.0, 0.01)
     for _ in range(ticks):
-        made.update(0.0, 0.0, 0.0)
+        made.update(0.0, Acted(0.0), Acted(0.0))
     return made
 
 
@@ -116,7 +117,7 @@ def test_two_surprises_in_a_row_end_identification_from_the_sixth_tick_on(ticks:
     """The first sample of a move is tick 0; before the sixth a fit goes by its prior most of all."""
     made = learning(ticks)
     for position in (8.0, -8.0):
-        made.update(position, 0.0, 0.0)
+        made.update(position, Acted(0.0), Acted(0.0))
     assert made.contradicted is ends
 
 

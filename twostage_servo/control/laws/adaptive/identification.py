@@ -45,6 +45,22 @@ class Prior(NamedTuple):
     load_spread: float
 
 
+class Acted(NamedTuple):
+    """What has acted in a tick, forward.
+
+    Attributes
+    ----------
+    mean
+        The mean effort, in effort unit.
+    more_way
+        What the axis has gone more than by that mean, where the effort has changed within the tick: as an effort over
+        the whole tick, in effort unit.
+    """
+
+    mean: float
+    more_way: float = 0.0
+
+
 class Fit:
     """One least-squares fit; positions and efforts are counted forward from where the move began.
 
@@ -95,7 +111,7 @@ class Fit:
         self.position = self.evidence = self.surprise = self.misfit = 0.0
         self.samples = 0
 
-    def update(self, sample: float | None, acted: float) -> None:
+    def update(self, sample: float | None, acted: Acted, date_error_s: float = 0.0) -> None:
         """Take a tick.
 
         Parameters
@@ -103,11 +119,14 @@ class Fit:
         sample
             The measured position at its end, in axis unit; None where it is lost.
         acted
-            The effort that has acted in it, in effort unit.
+            What has acted in it.
+        date_error_s
+            By how much the date of the sample may be off, in s.
         """
         period_s, values = self._period_s, self._values
-        self._effort_twice += self._effort_once * period_s + 0.5 * acted * period_s * period_s
-        self._effort_once += acted * period_s
+        mean, more_way = acted
+        self._effort_twice += self._effort_once * period_s + 0.5 * (mean + more_way) * period_s * period_s
+        self._effort_once += mean * period_s
         self._time_s += period_s
         is_lost = sample is None
         if sample is None:
@@ -124,25 +143,29 @@ class Fit:
         if is_lost:
             self.position = sample - error
         else:
-            self._correct(sample, error, regressor)
+            spread = date_error_s * self.velocity
+            self._correct(sample, error, regressor, self._variance + spread * spread)
+            if spread * spread > self._variance:  # what is wrong with it must not stay in the integral
+                self._position_once += 0.5 * period_s * (self.position - sample)
+                self._sample = self.position
 
-    def _correct(self, sample: float, error: float, regressor: tuple[float, ...]) -> None:
-        """Learn from a sample, by what it is off the fit (both in axis unit)."""
+    def _correct(self, sample: float, error: float, regressor: tuple[float, ...], noise: float) -> None:
+        """Learn from a sample, by what it is off the fit (both in axis unit), and by its own variance, squared."""
         values, root = self._values, self._root
         # Potter's form: the root S of the covariance S S', so that it stays one however little is left of it.
         seen = [sum(row[column] * factor for row, factor in zip(root, regressor, strict=True)) for column in range(4)]
-        variance = self._variance + sum(value * value for value in seen)
+        variance = noise + sum(value * value for value in seen)
         weighed = [sum(entry * value for entry, value in zip(row, seen, strict=True)) for row in root]
-        share = 1.0 / (variance + sqrt(variance * self._variance))
+        share = 1.0 / (variance + sqrt(variance * noise))
         for index, row in enumerate(root):
             values[index] += weighed[index] / variance * error
             for column in range(4):
                 row[column] -= share * weighed[index] * seen[column]
         self.surprise = error * error / variance
-        self.evidence += self.surprise + log(variance / self._variance)
+        self.evidence += self.surprise + log(variance / noise)
         self.misfit += self.surprise
         self.samples += 1
-        self.position = sample - error * self._variance / variance
+        self.position = sample - error * noise / variance
 
     def begin_late(self, sample: float) -> None:
         """Take a sample (axis unit) of a tick in which nothing has acted yet: noise alone has moved it."""

@@ -22,7 +22,7 @@ from typing import Final
 
 from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.departure import Departure
-from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
+from twostage_servo.control.laws.adaptive.estimate import IN_TIME, ControlEstimate, Timing
 from twostage_servo.control.laws.adaptive.position_stage import PositionStage
 from twostage_servo.control.laws.adaptive.rules import Rules, loop_period_s
 from twostage_servo.control.laws.adaptive.speed_stage import SpeedStage
@@ -68,8 +68,8 @@ class AdaptiveLaw:
 
     __slots__ = (
         "_course", "_departure", "_estimate", "_is_smooth", "_largest_step", "_period_s", "_position_stage",
-        "_rest_velocity", "_speed_stage", "changeovers", "cruise_velocity", "effort", "effort_limit", "observer",
-        "saturated", "speed_reference", "stage", "stop_stage", "target",
+        "_rest_velocity", "_speed_stage", "_timing", "changeovers", "cruise_velocity", "effort", "effort_limit",
+        "observer", "saturated", "speed_reference", "stage", "stop_stage", "target",
     )  # fmt: skip
     sample_age = 1
 
@@ -100,6 +100,7 @@ class AdaptiveLaw:
         self._estimate.start(self.observer, effort)
         self.stage = _POSITION
         self.effort = effort
+        self._timing = IN_TIME
         self.saturated = False
         self.speed_reference = 0.0
         self._hold(Course(position, position))
@@ -154,8 +155,15 @@ class AdaptiveLaw:
     def skip(self, periods: int) -> None:
         """Account for periods in which no step was made: the last effort acted on, unseen."""
         for _ in range(periods):
-            self.observer.predict(self.effort)
-            self._estimate.skip(self.effort)
+            acted = self.effort + self._timing.late_effort
+            self._timing = IN_TIME
+            self.observer.predict(acted)
+            self._estimate.skip(acted)
+
+    def tell_timing(self, acted: float, late_share: float, lag_s: float, dating: float) -> None:
+        """Tell of the next period what was not in time; see :meth:`~twostage_servo.control.laws.law.TimedLaw`."""
+        late_effort = acted - self.effort
+        self._timing = Timing(late_effort, (1.0 - late_share) * late_effort, lag_s, late_share, dating)
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower; nothing moves."""
@@ -243,22 +251,25 @@ class AdaptiveLaw:
     def step(self, sample: float | None) -> float:
         """Process the sample that belongs to the last effort's instant; return the next effort, in effort unit."""
         observer, estimate, course = self.observer, self._estimate, self._course
+        timing, self._timing = self._timing, IN_TIME
+        acted = self.effort + timing.late_effort
         if self.stage is _BRAKE:
-            self.stop_stage.update(observer, observer.position if sample is None else sample, self.effort)
+            self.stop_stage.update(observer, observer.position if sample is None else sample, acted)
             self.effort = self._braking_effort()
             return self.effort
-        estimate.update(sample, self.effort)
-        observer.update(observer.position if sample is None else sample, self.effort)
+        estimate.update(sample, acted, timing)
+        observer.update(observer.position if sample is None else sample, acted)
         if estimate.is_misled:
             estimate.resume(observer)
         if self.stage is _SPEED:
             departure, limit = self._departure, self.effort_limit
+            shown = None if sample is None else sample - timing.dating  # what has only been added shows no motion
             if departure.leaves_obstacle:
-                wanted = departure.release(course, sample, self.effort, limit)
+                wanted = departure.release(course, shown, self.effort, limit)
             else:
                 wanted = self._speed_stage.step(course, self.effort, limit)
             if departure.is_held:
-                wanted = departure.held_back(wanted, self._speed_stage.rise, sample, limit)
+                wanted = departure.held_back(wanted, self._speed_stage.rise, shown, limit)
             if course.has_changed_over:
                 self.stage = _POSITION
                 self.changeovers += 1

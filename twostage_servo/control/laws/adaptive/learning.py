@@ -19,7 +19,7 @@ from twostage_servo.control.laws.adaptive.acceptance import (
     unexplained,
     within,
 )
-from twostage_servo.control.laws.adaptive.identification import Fit, Prior, widened
+from twostage_servo.control.laws.adaptive.identification import Acted, Fit, Prior, widened
 from twostage_servo.control.laws.adaptive.rules import LearningRules
 from twostage_servo.control.laws.adaptive.trust import Trust
 from twostage_servo.control.laws.law import Learned
@@ -127,7 +127,7 @@ class Learning:
         self.moves = 0
         self._delay_evidence = 0.0
         self._fits, self._later = self._new_fits(0.0, 1.0), self._new_fits(0.0, 1.0)[0]
-        self._before = 0.0
+        self._before = Acted(0.0)
         self._direction = 1.0
         self._ticks = self._surprises = 0
 
@@ -202,7 +202,7 @@ class Learning:
         prior = Prior(self.believed.gain, self.believed.pole, load, gain_share, pole_share, load_spread)
         return Fit(prior, spread, self._period_s), Fit(prior, spread, self._period_s)
 
-    def update(self, sample: float | None, effort: float, before: float) -> Found | None:
+    def update(self, sample: float | None, effort: Acted, before: Acted, date_error_s: float = 0.0) -> Found | None:
         """Take a tick, all of it counted in the direction of the move.
 
         Parameters
@@ -210,7 +210,9 @@ class Learning:
         sample
             The measured position from where the move began, in axis unit; None where it is lost.
         effort, before
-            The efforts u(k-1) and u(k-2), in effort unit.
+            What has acted since the efforts u(k-1) and u(k-2).
+        date_error_s
+            By how much the date of the sample may be off, in s.
 
         Returns
         -------
@@ -223,14 +225,14 @@ class Learning:
         if ticks < _TICKS_UNTIL_ACTED:
             self._before = before
             return None
-        soon.update(sample, effort)
+        soon.update(sample, effort, date_error_s)
         if ticks == _TICKS_UNTIL_ACTED:
             if sample is not None:
                 late.begin_late(sample)
         else:
-            late.update(sample, before)
+            late.update(sample, before, date_error_s)
             if ticks > _TICKS_UNTIL_ACTED + 1:
-                self._later.update(sample, self._before)
+                self._later.update(sample, self._before, date_error_s)
         self._before = before
         least = min(soon.surprise, late.surprise) if self._rules.finds_delay else soon.surprise
         surprised = ticks >= _FIRST_SURPRISE and least > self._rules.surprise

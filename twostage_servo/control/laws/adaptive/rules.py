@@ -85,8 +85,9 @@ class Rules:
         axis on by less.
     first_braking
         Ticks of the loops that a first move on an unknown plant takes at least to brake: time to correct.
-    unknown, late
-        Exponents of the poles while the plant is not known, and where an effort acts a tick later.
+    unknown, late, untimely
+        Exponents of the poles while the plant is not known; where an effort acts a tick later; and where efforts or
+        samples are late now and then, by up to a tick: quicker ones oscillate then, with a delay margin of 3 ticks.
     pull_share
         Share of the effort's change in a tick that a large error of the position may ask for; what makes no quick loop
         ask for more than the effort's rate gives.
@@ -97,7 +98,7 @@ class Rules:
     holds_back
         Whether the effort of a move is held back until the axis is seen to move.
     ends_friction
-        Whether what acted against a motion alone is given up as it ends, behind a noisy encoder.
+        Whether what acted against a motion alone is given up as it ends, where the loops are slow.
     fixed_gains
         Gains in the place of poles; None for poles.
     """
@@ -109,6 +110,7 @@ class Rules:
     first_braking: float = 7.188
     unknown: float = 0.4
     late: float = 0.75
+    untimely: float = 0.55
     pull_share: float = 0.5
     identification_ticks: int = 29
     longest_identification_ticks: int = 100_000
