@@ -10,7 +10,7 @@ from twostage_servo.axis.state import LATCHED, State
 from twostage_servo.axis.trips import TripCode
 from twostage_servo.control.laws.paper import SPEED_TOLERANCE
 from twostage_servo.faults.drive_faults import creep
-from twostage_servo.faults.servo_gains import servo_gains_of
+from twostage_servo.faults.servo_gains import follows_a_plan, servo_gains_of
 from twostage_servo.faults.world import Sample, World
 
 Check = Callable[[World], Awaitable[str | None]]
@@ -96,8 +96,10 @@ async def within_stall_effort(world: World) -> str | None:
 
     Until then the effort starts from where it was. What stands still gives back the velocity's part, ``f12 x2``, and
     the estimate may swing as far to the other side. The sum adds f22 a tick for each unit that is missing: of speed,
-    the move's at most, or of the distance in the position stage. After the trip no more is allowed than the quick
-    stop's ramp takes without friction.
+    the move's at most, or of the distance in the position stage. A law that follows a plan goes on with the efforts of
+    the plan, which are those of the same move without the fault, and adds less than what tells a stall; one that stops
+    in mid-motion gives back the velocity's part at once, in loops as quick as the tick allows, up to the effort limit.
+    After the trip no more is allowed than the quick stop's ramp takes without friction.
     """
     design, limits = world.axis.design, world.axis.settings.limits
     stall_ticks = design.ticks(limits.stall_time_ms)
@@ -115,6 +117,9 @@ async def within_stall_effort(world: World) -> str | None:
     if len(stuck) > ticks + 0.5 * ramp_ticks:
         return f"the stall was noticed after {len(stuck)} ticks, {ticks + 0.5 * ramp_ticks:.1f} are allowed"
     most = abs(before.effort) + 2.0 * abs(gains.f12 * before.velocity) + rise * ticks
+    if follows_a_plan(design):
+        planned = max(abs(sample.effort) for sample in world.undisturbed) + limits.stall_effort
+        most = max(most, planned if abs(before.velocity) <= design.rest_velocity else limits.effort)
     braking = max(most, limits.quick_stop_deceleration / abs(world.axis.settings.plant.gain))
     for samples, allowed in ((stuck, most), (after[len(stuck) :], braking)):
         largest = max((abs(sample.effort) for sample in samples), default=0.0)
@@ -195,7 +200,9 @@ async def continuous(world: World) -> str | None:
     In the first tick after it, the effort is what it would have been without it, but for what the law's sum adds in a
     tick for the other set-point. The position stage begins at the change-over distance p = f11 T v / f22, equation
     (19), so that is f22 p = f11 T v at most, and the same if the speed stage takes over, which does not count the way
-    of that tick; more by the share by which the axis may be faster than its set-point asks for.
+    of that tick; more by the share by which the axis may be faster than its set-point asks for. A law that follows a
+    plan begins in that tick what the new one asks for: an acceleration where it braked, at most, which is twice the
+    step of an acceleration from rest, and more by the same share.
 
     No later step is larger than a turn takes. The response is linear, so a turn from v to -v, which is twice the change
     of speed from rest to v, takes twice the largest step of the same move without the new set-point, and what that move
@@ -211,8 +218,10 @@ async def continuous(world: World) -> str | None:
     speed = max(world.velocity, *(abs(sample.velocity) for sample in world.undisturbed))
     tick_of_the_sum = abs(servo_gains_of(axis.design).f11) * world.period_s * speed * (1.0 + SPEED_TOLERANCE)
     largest, usual_step = _largest_step(world.samples), _largest_step(world.undisturbed)
-    if apart > tick_of_the_sum + 1e-9:
-        return f"the new set-point changes the effort by {apart:.4g} at once, {tick_of_the_sum:.4g} is allowed"
+    turn = 2.0 * usual_step * (1.0 + SPEED_TOLERANCE)
+    at_once = max(tick_of_the_sum, turn) if follows_a_plan(axis.design) else tick_of_the_sum
+    if apart > at_once + 1e-9:
+        return f"the new set-point changes the effort by {apart:.4g} at once, {at_once:.4g} is allowed"
     most = max(3.0 * usual_step, usual_step + tick_of_the_sum)
     if largest > most + 1e-9:
         return f"the effort jumped by {largest:.4g} in a tick, {most:.4g} is allowed"
