@@ -23,8 +23,22 @@ def demo(capsys: pytest.CaptureFixture[str], *arguments: str, exit_code: int = 0
     return result
 
 
-def test_the_default_move(capsys: pytest.CaptureFixture[str]) -> None:
+PAPER = ("--set", "axis.law.type=paper")
+
+
+def test_the_default_move_is_one_that_a_servo_engineer_respects(capsys: pytest.CaptureFixture[str]) -> None:
+    """400 mm at 100 mm/s with 2000 mm/s²: 4.05 s to its band at best."""
     result = demo(capsys)
+    assert result["law"]["type"] == "adaptive"
+    assert result["trip"] is None
+    assert abs(result["final_error"]) <= 0.005
+    assert result["overshoot"] < 0.01
+    assert result["settling_time_s"] <= 4.08
+    assert result["peak_velocity"] < 101.0
+
+
+def test_the_default_move_of_the_papers_law(capsys: pytest.CaptureFixture[str]) -> None:
+    result = demo(capsys, *PAPER)
     assert set(result) >= {
         "target", "final_error", "overshoot", "settling_time_s", "peak_velocity", "changeover", "ticks", "frames",
         "trip", "trace_sha256",
@@ -86,7 +100,7 @@ def test_moves_go_to_the_set_point_and_back(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_a_trip_in_the_second_move_ends_the_demo_with_the_figures_of_both(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--to", "120", "--moves", "3", "--set", "simulation.load=-40", "--set", "simulation.load_at_s=6"]
+    arguments = ["--to", "120", "--moves", "3", "--set", "simulation.load=-40", "--set", "simulation.load_at_s=3"]
     result = demo(capsys, *arguments, exit_code=3)
     assert [move["target"] for move in result["moves"]] == [120.0, 0.0]
     assert abs(result["moves"][0]["final_error"]) < 0.05
@@ -144,7 +158,7 @@ def test_the_adaptive_law_moves_like_a_servo_and_shows_what_it_has_found(capsys:
     assert identified["load"]["forward"] == pytest.approx(0.0, abs=0.15)
     assert identified["load"]["backward"] == pytest.approx(0.0, abs=0.15)
     assert law["rejection"] is None
-    assert demo(capsys)["law"] == {"type": "paper", "identified": None, "accepted": None, "rejection": None}
+    assert demo(capsys, *PAPER)["law"] == {"type": "paper", "identified": None, "accepted": None, "rejection": None}
 
 
 @pytest.mark.parametrize(
@@ -217,7 +231,7 @@ def test_the_trace_hash_depends_on_the_seed_and_on_nothing_else(capsys: pytest.C
 
 def test_a_trip_ends_with_exit_code_3_and_says_why(capsys: pytest.CaptureFixture[str]) -> None:
     # Dry friction beyond axis.limits.stall_effort cannot be told from a stall.
-    result = demo(capsys, "--set", "simulation.coulomb_friction=5", exit_code=3)
+    result = demo(capsys, *PAPER, "--set", "simulation.coulomb_friction=5", exit_code=3)
     assert result["trip"]["code"] == "stall"
     assert "axis.limits.stall_effort is 2.5" in result["trip"]["cause"]
     assert "reset" in result["trip"]["next_action"]

@@ -56,7 +56,7 @@ def test_a_drive_with_a_clock_of_its_own_may_misdate_samples_by_half_a_tick(caps
         ("axis.limits.following_error_minimum=2600", "the trip for following error"),
         ("axis.limits.following_error_time_s=11", "the trip for following error: 2750 mm are allowed"),
         ("axis.limits.innovation_gate=21", "the trip for an encoder that jumps"),
-        ("axis.window.position=60", "begins 54.53 mm before the set-point, so it counts as reached immediately"),
+        ("axis.window.position=60", "begins 4.5 mm before the set-point, so it counts as reached immediately"),
         ("axis.window.position=0.0004", "the encoder has steps of 0.001 mm"),
         ("axis.limits.stall_time_ms=30000", "the trip for a stall: at its largest velocity the axis crosses"),
         ("axis.limits.stall_time_ms=501", "the trip for a stall: effort_saturation_ms is shorter"),
@@ -90,7 +90,7 @@ def test_a_limit_that_disables_its_protection_is_named_with_value_and_place(
     [
         "axis.limits.missed_ticks=8", "axis.limits.stale_feedback_ms=79", "axis.limits.overspeed=400",
         "axis.limits.innovation_gate=10", "axis.limits.stall_time_ms=499", "axis.limits.feedback_errors=66",
-        "axis.window.position=50", "axis.window.position=0.0005", "axis.approach.distance=1e9",
+        "axis.window.position=4", "axis.window.position=0.0005", "axis.approach.distance=1e9",
     ],
 )  # fmt: skip
 def test_what_still_protects_is_not_warned_of(capsys: pytest.CaptureFixture[str], override: str) -> None:
@@ -149,7 +149,7 @@ def test_a_time_to_brake_in_which_the_axis_does_not_come_to_rest_is_warned_of(
 
 
 def test_an_effort_rate_that_lets_no_move_end_is_a_problem(capsys: pytest.CaptureFixture[str]) -> None:
-    code, told = check(capsys, "axis.limits.effort_rate=1e-3")
+    code, told = check(capsys, "axis.law.type=paper", "axis.limits.effort_rate=1e-3")
     assert code == 2
     (problem,) = told["error"]["problems"]
     assert "trips (position_limit) even if the plant is as axis.plant says" in problem["message"]

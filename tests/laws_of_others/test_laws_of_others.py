@@ -88,7 +88,7 @@ def test_the_tables_of_both_laws_may_stand_side_by_side(tmp_path: Path) -> None:
     file.write_text(text, encoding="utf-8")
     axis = load(file).config.axis
     assert axis.law.paper.performance_index_ratio == 1e-4
-    assert axis.law.type == "paper"
+    assert axis.law.type == "adaptive"
     keys: Any = load(file, [OTHER]).config.axis.law.keys
     assert keys.bandwidth == 4.0
 
@@ -112,7 +112,7 @@ def test_the_ratio_in_both_places_is_an_error_that_names_both(tmp_path: Path) ->
 
 
 def test_the_older_place_of_the_ratio_means_the_same() -> None:
-    old = load(None, ["axis.law.performance_index_ratio=1e-4"]).config.axis
+    old = load(None, ["axis.law.type=paper", "axis.law.performance_index_ratio=1e-4"]).config.axis
     assert old.law.paper.performance_index_ratio == 1e-4
     assert design_axis(old, 0.01).law.origin() == "Q/R 0.0001"
 
