@@ -40,7 +40,7 @@ async def moves(seed: int, *changes: str) -> list[float]:
 
 @pytest.mark.parametrize("seed", [0, 1, 3])
 def test_a_plant_is_identified_though_commands_are_late_now_and_then(seed: int) -> None:
-    """With the commanded effort in the place of the one that acted, second and third moves overshoot by 0.02 to 0.14 mm.
+    """With the commanded effort in place of the one that acted, second and third moves overshoot by 0.02 to 0.14 mm.
 
     And the first one of seed 1 by 2.6 mm.
     """
