@@ -51,6 +51,12 @@ class LearnedPlant:
         if self._law is not None:
             self._law.recall(learned)
 
+    @property
+    def expected_position(self) -> float | None:
+        """Where the plant that is known says that the axis is at the next sample, in axis unit; None while none is."""
+        law = self._law
+        return None if law is None or law.identified is None else law.plant_estimate.position
+
     def tell(self, monitor: ModelMonitor) -> None:
         """Let the model monitor accept what the law has identified, from the estimate that goes with it.
 

@@ -137,6 +137,9 @@ class Motion:
         """Set the target in axis unit, with a cruise velocity in axis unit/s."""
         if self.law.stage is Stage.POSITION and abs(self.law.observer.velocity) <= self._rest_velocity:
             self.model_monitor.forget_gains(self.law.observer)
+        if self.law.stage is Stage.POSITION and abs(self.nominal.observer.velocity) <= self._rest_velocity:
+            # What held a plant off its model at the speed of the last move is no load of this one.
+            self.nominal.continue_from(self.law)
         self.law.set_target(target, velocity)
         self.nominal.set_target(target, velocity)
 
@@ -376,11 +379,19 @@ class Motion:
         if sample is None:
             self._gap.miss(observer, acted)
             return None
-        distance = sample - observer.position
-        if abs(distance) <= self.innovation_gate:
+        distance, gate = sample - observer.position, self.innovation_gate
+        if abs(distance) <= gate or self._is_expected(sample, gate):
             self.implausible = 0
             return sample
         self.implausible += 1
         self.implausible_distance = distance
         self._gap.doubt()
         return None
+
+    def _is_expected(self, sample: float, gate: float) -> bool:
+        """Whether a sample (axis unit) lies as near to where the plant that has been identified says that the axis is.
+
+        One that is far off its model brakes by other distances than the model says.
+        """
+        expected = self.plant.expected_position
+        return expected is not None and abs(sample - expected) <= gate
