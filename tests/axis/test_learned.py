@@ -193,3 +193,40 @@ def test_another_set_point_on_the_way_is_the_same_move_to_a_law_that_forgets_bet
     rig.axis.recall(known)
     rig.axis.move_to(300.0, 100.0)
     assert learned(rig).moves == 7
+
+
+def test_a_move_back_is_not_judged_by_what_held_the_axis_at_speed() -> None:
+    """A plant of 1.3 times the gain and 0.7 times the pole seems to be pushed by 4 V at speed.
+
+    Of 10 V the nominal response then had too little left the other way, and fell behind: `following_error`.
+    """
+    settings = AxisSettings.model_validate(
+        DEMO | {"limits": DEMO["limits"] | {"effort": 10.0, "velocity": 115.0}, "law": {"type": "adaptive"}}
+    )
+    rig = AxisRig(Axis(design_axis(settings, PERIOD_S), TRAITS), Plant(1.3 * 180.0, 0.7 * 14.0))
+    rig.armed()
+    for target in (490.0, 0.0):
+        rig.axis.move_to(target, 110.0)
+        rig.seconds(2.0)
+        assert abs(rig.axis.following_error) < 5.0
+        rig.seconds(5.0)
+        assert rig.axis.trip is None
+        assert rig.position == pytest.approx(target, abs=0.1)
+
+
+def test_a_sample_is_believed_where_the_identified_plant_expects_it() -> None:
+    """And nowhere else: the gate is 0.5 mm around either estimate, and without an identified plant around the first."""
+    rig = after_moves(rig_of(), 400.0)
+    motion = rig.axis.motion
+    own, gate = motion.law.observer, motion.innovation_gate
+    assert motion.plant.expected_position == pytest.approx(own.position, abs=0.1)
+    expected = motion.plant.expected_position
+    assert expected is not None
+    for off, believed in ((-4.0, False), (-2.0, True), (0.9 * gate, True), (1.1 * gate, False)):
+        own.place(expected - 2.0)
+        rig.axis.drive.fresh, rig.axis.drive.position, rig.axis.drive.age_s = True, expected + off, None
+        assert (motion._believed_sample(0.0) is not None) is believed
+    rig.axis.motion.plant.forget()
+    assert motion.plant.expected_position is None
+    rig.axis.drive.position = expected
+    assert motion._believed_sample(0.0) is None
