@@ -221,7 +221,9 @@ def test_check_says_how_long_a_service_manager_has_to_wait(
 def test_the_loops_are_drawn_by_the_files_ending(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, begins: bytes
 ) -> None:
-    assert main(["design", "--uncertainty", "5", "--distance", "20", "--plot", str(tmp_path / name), "--json"]) == 0
+    paper = ["--set", "axis.law.type=paper"]
+    arguments = ["design", *paper, "--uncertainty", "5", "--distance", "20", "--plot", str(tmp_path / name), "--json"]
+    assert main(arguments) == 0
     captured = capsys.readouterr()
     assert json.loads(captured.out)["stages"]["position"]["gain_margin"] == pytest.approx(11.92, abs=0.01)
     assert f"plot written to {tmp_path / name}" in captured.err
@@ -240,7 +242,7 @@ def test_a_plot_of_an_unknown_kind_or_in_no_folder_is_refused(
 
 @pytest.mark.long
 def test_the_expected_response_is_shown_and_told(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "--uncertainty", "20", "--json"]) == 0
+    assert main(["design", "--set", "axis.law.type=paper", "--uncertainty", "20", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["uncertainty"] == 20.0
     assert (told["distance"], told["velocity"]) == (400.0, 100.0)
@@ -250,7 +252,8 @@ def test_the_expected_response_is_shown_and_told(capsys: pytest.CaptureFixture[s
     assert [(one["distance"], one["velocity"]) for one in told["corners"]] == [
         (2.5, 100.0), (400.0, 100.0), (2.5, 250.0), (1000.0, 250.0),
     ]  # fmt: skip
-    assert main(["design", "--distance", "40", "--velocity", "20", "--uncertainty", "0"]) == 0
+    paper = ["--set", "axis.law.type=paper"]
+    assert main(["design", *paper, "--distance", "40", "--velocity", "20", "--uncertainty", "0"]) == 0
     out = capsys.readouterr().out
     assert "move       40 mm at 20 mm/s, to 0.05 mm" in out
     assert "% off" not in out
@@ -287,12 +290,13 @@ def test_an_impossible_move_or_uncertainty_is_refused(
 
 @pytest.mark.long
 def test_check_tells_what_the_configured_and_the_fastest_move_come_to(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", "--json", "--uncertainty", "20"]) == 0
+    paper = ["--set", "axis.law.type=paper"]
+    assert main(["check", *paper, "--json", "--uncertainty", "20"]) == 0
     usual, fastest = json.loads(capsys.readouterr().out)["response"]
     assert (usual["velocity"], fastest["velocity"]) == (100.0, 250.0)
     assert usual["nominal"]["trip"] is None
     assert fastest["worst"]["trip"] is not None
-    assert main(["check", "--uncertainty", "20"]) == 0
+    assert main(["check", *paper, "--uncertainty", "20"]) == 0
     out = capsys.readouterr().out
     assert "as the model:   settled after 5.64 s" in out
     assert "up to 20 % off: trips (" in out

@@ -247,7 +247,7 @@ def test_an_axis_that_trips_with_another_is_told(monkeypatch: pytest.MonkeyPatch
 
 def test_a_search_slower_than_a_change_shows_is_a_stated_limit_and_a_faster_motion_is_none() -> None:
     """On a tick of 1 ms `check` says 31 mm/s; the search goes 20 mm/s and a little more, the cruise 100 mm/s."""
-    campaign = Campaign(load(None, ["service.tick_ms=1"]), seed=1)
+    campaign = Campaign(load(None, ["axis.law.type=paper", "service.tick_ms=1"]), seed=1)
     halved = next(fault for fault in TABLE if fault.name == "scale halved")
     cell = campaign.run(halved, Phase.HOMING)
     assert (cell.met, cell.expected, cell.observed) == (True, "Q", "T")
