@@ -635,15 +635,15 @@ def test_an_effort_that_only_holds_the_load_is_no_sign_of_an_encoder_that_stands
     """An axis that brakes with 6 V within its encoder's last step stays there, and its effort becomes that of rest."""
     bench = Bench(0.0).holding()
     bench.motion._load.load = load
-    bench.motion._effort = -6.0
+    bench.motion._effort.last = -6.0
     bench.drive.position = 0.0
     bench.motion._unchanged = None
     bench.motion._compare_with_the_last()
     assert bench.motion.unchanged_effort == 0.0
-    bench.motion._effort = effort
+    bench.motion._effort.last = effort
     bench.motion._compare_with_the_last()
     assert bench.motion.unchanged_effort == evidence
-    bench.motion._effort = -6.0 - 0.5
+    bench.motion._effort.last = -6.0 - 0.5
     bench.motion._compare_with_the_last()
     assert bench.motion.unchanged_effort == 0.5
 

@@ -3,6 +3,7 @@
 import math
 from collections import deque
 
+from twostage_servo.axis.acted_effort import ActedEffort
 from twostage_servo.axis.braking_estimate import BrakingEstimate
 from twostage_servo.axis.design import AxisDesign
 from twostage_servo.axis.drive_report import DriveReport
@@ -11,7 +12,7 @@ from twostage_servo.axis.sample_date import SampleDate
 from twostage_servo.axis.sample_gap import SampleGap
 from twostage_servo.axis.standing_load import StandingLoad
 from twostage_servo.axis.tracking import Tracking
-from twostage_servo.control.laws.law import SmoothLaw, Stage, TimedLaw
+from twostage_servo.control.laws.law import SmoothLaw, Stage
 from twostage_servo.control.per_time import kept_in
 
 IMPLAUSIBLE_SAMPLES = 2
@@ -27,9 +28,6 @@ estimate that is right to a thousandth of the innovation gate takes up to a seco
 
 _LONGEST_PREDICTION_MS = 1000.0
 """Time for which missed ticks are predicted one by one: a tick after a suspension of hours must not take seconds."""
-
-_IN_TIME = 0.005
-"""Share of a period up to which an effort counts as in time: what that does to the speed, no encoder shows."""
 
 _NOISE_DEVIATIONS = 3.0
 """Standard deviations of the measured position by which an encoder has to go on for its axis to move."""
@@ -94,11 +92,8 @@ class Motion:
         self._jerk = design.jerk
         self._limits = design.settings.limits
         self._date = SampleDate(self.law.observer, drive, design.period_s)
-        self._date_error_s = _IN_TIME * design.period_s
-        self._timed_law = self.law if isinstance(self.law, TimedLaw) else None
-        self._effort = 0.0  # what the law gave last, taken for what acts: for one tick even if a trip held it back
-        self._effort_before = 0.0
-        self._late_share = 0.0  # of the period, before it began to act
+        # Of the law, taken for what acts: for one tick even if a trip held it back.
+        self._effort = ActedEffort(self.law, self._date, design.period_s)
         self._resolution = 1.5 * resolution
         noise: float = design.noise.measurement_variance**0.5
         self._tracking = Tracking(self.law.observer, drive, self._gate, noise)
@@ -124,7 +119,7 @@ class Motion:
     def start(self, effort: float = 0.0) -> None:
         """Hold from here on; the observer has been tracking the axis, on which `effort` (effort unit) acts."""
         self.law.start(effort)
-        self._effort = self._effort_before = effort
+        self._effort.start(effort)
         self.nominal.continue_from(self.law)
         self.model_monitor.start(self.law.observer, effort)
         self._gap.close()
@@ -186,7 +181,7 @@ class Motion:
 
     def act_late(self, share: float) -> None:
         """Account for the last effort having begun to act late, by a share of a period, in which the one before did."""
-        self._late_share = share if share > _IN_TIME else 0.0
+        self._effort.begin_late(share)
 
     def skip(self, periods: int) -> None:
         """Account for ticks that were missed.
@@ -198,9 +193,9 @@ class Motion:
         self._date.begin_gap()
         self._skipped += periods
         for _ in range(periods):
-            acted = self._acted
+            acted = self._effort.mean
             self._gap.miss(law.observer, acted)
-            self._tell_timing(acted, 0.0)
+            self._effort.tell_law()
             law.skip(1)
             self._date.record_missed()
             self.model_monitor.predict(acted)
@@ -208,7 +203,7 @@ class Motion:
 
     def step(self) -> float:
         """Run the law for a tick and return the effort in effort unit."""
-        acted = self._acted
+        acted = self._effort.mean
         sample = self._believed_sample(acted)
         if self._drive.fresh:
             shown, self._shown = self._shown, self._drive.position
@@ -218,8 +213,9 @@ class Motion:
             self._gap.reopen(lag, self.law.observer, acted)
         elif sample is not None:
             self._gap.accept()
-        self._tell_timing(acted, self._date.lag_s)
-        self._effort_before, self._effort = self._effort, self.law.step(sample)
+        self._effort.tell_law()
+        effort = self.law.step(sample)
+        self._effort.give(effort)
         self.nominal.step(None)
         if sample is None:
             self.predicted += 1
@@ -242,13 +238,14 @@ class Motion:
         self._record_load()
         corrected = sample is not None and not lag
         self._braking.update(
-            self.law.observer, self._effort, corrected=corrected, sure=corrected and self.model_monitor.is_sure
+            self.law.observer, effort, corrected=corrected, sure=corrected and self.model_monitor.is_sure
         )
-        return self._effort
+        return effort
 
     def track(self) -> None:
         """Let the observer follow the axis while no effort acts, so that arming starts from its position and speed."""
-        effort, self._effort = self._effort, 0.0
+        effort = self._effort.last
+        self._effort.give(0.0)
         self.implausible = 0
         self._tracking.step(effort, blind=self.blind)
         self.blind = False
@@ -339,28 +336,13 @@ class Motion:
             # axis would creep on behind an encoder that shows nothing.
             observer.correct(observer.velocity, self._load.load)
 
-    @property
-    def _acted(self) -> float:
-        """The mean effort since the last tick, in effort unit: where the last one came late, the one before acted on.
-
-        It has the same effect on the speed. What the way differs by is at most a quarter of what the speed makes of it
-        in a period.
-        """
-        return self._effort + self._late_share * (self._effort_before - self._effort)
-
-    def _tell_timing(self, acted: float, lag_s: float) -> None:
-        """Tell the law what was not in time, if anything was."""
-        share, self._late_share = self._late_share, 0.0
-        if self._timed_law is not None and (share or abs(lag_s) > self._date_error_s):
-            self._timed_law.tell_timing(acted, share, lag_s, self._date.dating)
-
     def _compare_with_the_last(self) -> None:
         """Compare what the encoder shows, not dated: an encoder that stands still has no speed to date it by.
 
         An effort that only holds the load drives nothing: with it an axis that has braked within its encoder's last
         step stays there.
         """
-        sample, effort = self._drive.position, self._effort
+        sample, effort = self._drive.position, self._effort.last
         assert sample is not None  # noqa: S101 - the caller has one
         if self._unchanged is None or abs(sample - self._unchanged[0]) > self._resolution:
             self._unchanged = sample, effort, -self._load.load
@@ -373,7 +355,7 @@ class Motion:
 
         `acted` is the effort of the period before, in effort unit.
         """
-        sample, observer = self._date.sample(self._effort_before), self.law.observer
+        sample, observer = self._date.sample(self._effort.before), self.law.observer
         if self.blind:
             return None
         if sample is None:

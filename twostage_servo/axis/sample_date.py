@@ -46,6 +46,7 @@ class SampleDate:
     def begin_gap(self) -> None:
         """Remember the estimate before ticks that were missed."""
         self._path = [self._observer.position]
+        self.lag_s = self.dating = 0.0
 
     def record_missed(self) -> None:
         """Remember the estimate after one of them."""

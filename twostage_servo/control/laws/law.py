@@ -105,27 +105,6 @@ class Law(Protocol):
 
 
 @runtime_checkable
-class TimedLaw(Law, Protocol):
-    """A law that accounts for what came at other times than planned: an effort of a late host, a sample by its date."""
-
-    def tell_timing(self, acted: float, late_share: float, lag_s: float, dating: float) -> None:
-        """Tell of the period that the next :meth:`step` or :meth:`skip` accounts for; what is not told was in time.
-
-        Parameters
-        ----------
-        acted
-            The effort that acted in it, in effort unit: the mean of the last one and the one before, which acted until
-            that one came.
-        late_share
-            Share of the period after which that was.
-        lag_s
-            How much older, in s, the sample is than the instant that it is given for.
-        dating
-            What has been added to bring it there, by the observer's estimate, in axis unit.
-        """
-
-
-@runtime_checkable
 class SmoothLaw(Law, Protocol):
     """A law that keeps the jerk of its reference within that of its task: its type says that it smooths."""
 

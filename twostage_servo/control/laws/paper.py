@@ -18,6 +18,7 @@ from typing import NamedTuple
 from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import Stage
 from twostage_servo.control.laws.stop import Stop
+from twostage_servo.control.laws.timing import Timing
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.optimal import ServoGains
 
@@ -256,9 +257,9 @@ class TwoStageLaw:
             self.observer.predict(self.effort + self._late_effort)
             self._late_effort = 0.0
 
-    def tell_timing(self, acted: float, late_share: float, lag_s: float, dating: float) -> None:  # noqa: ARG002
-        """Tell which effort (effort unit) has acted in place of the last one; see :class:`.TimedLaw`."""
-        self._late_effort = acted - self.effort
+    def tell_timing(self, timing: Timing) -> None:
+        """Tell which effort has acted in place of the last one; see :class:`.TimedLaw`."""
+        self._late_effort = timing.late_effort
 
     def limit_effort(self, limit: float) -> None:
         """Keep the magnitude of the effort within a limit (effort unit) from the next step on."""

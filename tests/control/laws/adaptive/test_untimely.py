@@ -7,6 +7,7 @@ import pytest
 
 from tests.control.laws.adaptive.test_adaptive_law import Rig, law_of, task
 from twostage_servo.control.laws.adaptive.identification import Acted, Fit, Prior
+from twostage_servo.control.laws.timing import Timing
 from twostage_servo.control.plant import Plant
 
 PERIOD_S = 0.01
@@ -81,7 +82,7 @@ def test_what_is_untimely_takes_slower_gains(late_share: float, lag_s: float, *,
     rig.ticks(300)
     assert rig.law.learned.is_sure
     quick = rig.law.control_estimate.model.feedback
-    rig.law.tell_timing(rig.law.effort, late_share, lag_s, 0.0)
+    rig.law.tell_timing(Timing(0.0, late_share, lag_s))
     rig.ticks(1)
     assert (rig.law.control_estimate.model.feedback != quick) is is_slow
     unknown = law_of(task()).control_estimate.model.feedback
@@ -97,7 +98,7 @@ def test_the_effort_that_has_acted_is_what_the_observers_go_by() -> None:
     law, other = law_of(task()), law_of(task())
     for one in (law, other):
         one.start(4.0)
-    law.tell_timing(3.1, 0.3, 0.0, 0.0)
+    law.tell_timing(Timing(3.1 - 4.0, 0.3))
     other.effort = 3.1
     law.step(0.0)
     other.step(0.0)
@@ -113,7 +114,7 @@ def test_the_effort_that_has_acted_is_what_the_observers_go_by() -> None:
 def test_a_missed_tick_takes_it_too() -> None:
     law = law_of(task())
     law.start(4.0)
-    law.tell_timing(3.1, 0.3, 0.0, 0.0)
+    law.tell_timing(Timing(3.1 - 4.0, 0.3))
     law.skip(2)
     plant = law.observer.plant
     assert law.observer.velocity == pytest.approx(plant.a22 * plant.b2 * 3.1 + plant.b2 * 4.0)
@@ -128,7 +129,7 @@ def test_what_was_added_to_a_sample_for_its_age_shows_no_motion() -> None:
         law.set_target(100.0, 100.0)
         efforts = []
         for _ in range(12):
-            law.tell_timing(law.effort, 0.0, 1e-4, dating)
+            law.tell_timing(Timing(lag_s=1e-4, dating=dating))
             efforts.append(law.step(dating))
         pushed.append(max(map(abs, efforts[6:])))
     assert pushed[1] < 1.2 * pushed[0]

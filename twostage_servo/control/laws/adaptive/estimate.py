@@ -6,7 +6,7 @@ found. Between the two, what is kept is the acceleration that is predicted: a di
 another plant.
 """
 
-from typing import Final, NamedTuple
+from typing import Final
 
 from twostage_servo.control.laws.adaptive.encoder_noise import EncoderNoise
 from twostage_servo.control.laws.adaptive.identification import Acted
@@ -23,7 +23,9 @@ from twostage_servo.control.laws.adaptive.rules import (
     is_noisy,
     noise_unit,
 )
+from twostage_servo.control.laws.adaptive.untimeliness import Untimeliness
 from twostage_servo.control.laws.law import ControlTask, Learned
+from twostage_servo.control.laws.timing import IN_TIME, Timing
 from twostage_servo.control.observer import NO_CORRECTION, DisturbanceObserver
 from twostage_servo.control.plant import Plant
 
@@ -31,42 +33,8 @@ _DATE_SHARE: Final = 0.3
 """Share of its age beyond the usual one by which the date of a sample may be off: a drive takes a command that comes at
 another time than usual in a cycle of its own, and the observer that brings the sample to its instant may be wrong."""
 
-_UNTIMELY_SHARE: Final = 0.1
-"""How late efforts are, or how old samples, as a share of a tick, beyond which loops as quick as a tick allows are too
-quick: what acts or is seen at another time than planned is a delay, and another one in each tick."""
-
-_UNTIMELINESS_KEPT: Final = 0.995
-"""What is left of it a tick later: a host that has been late is expected to be so again for some hundred ticks."""
-
 _LARGEST_SPREAD: Final = 30.0
 """Largest spread of a sample that identification supposes, as a multiple of the least: more is no encoder's noise."""
-
-
-class Timing(NamedTuple):
-    """What was not in time in a period.
-
-    Attributes
-    ----------
-    late_effort
-        The mean effort that acted less the last one, which came late, in effort unit.
-    more_way
-        What the axis has gone more than by that mean, as an effort over the whole period, in effort unit.
-    lag_s
-        By how much the sample is older than the instant it is given for, in s.
-    late_share
-        Share of the period after which the last effort began to act.
-    dating
-        What has been added to the sample for its age, in axis unit.
-    """
-
-    late_effort: float
-    more_way: float
-    lag_s: float
-    late_share: float
-    dating: float
-
-
-IN_TIME: Final = Timing(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class ControlEstimate:
@@ -114,8 +82,8 @@ class ControlEstimate:
         self._observer = DisturbanceObserver(task.sampled, NO_CORRECTION, memory)
         self.learning = Learning(task.plant, learning_rules, task.period_s, task.effort_limit)
         self._efforts = 0.0, 0.0, 0.0
-        self._more_ways = 0.0, 0.0  # of the last two periods, see Timing
-        self._untimeliness = 0.0  # of efforts and samples of late, as a share of a period
+        self._more_ways = 0.0, 0.0  # of the last two periods
+        self._untimeliness = Untimeliness(task.period_s)
         self._direction, self._origin = 1.0, 0.0
         self._is_to_begin = False  # a move, with its first sample
         self._load_at_rest = 0.0  # against the move, before it
@@ -210,8 +178,8 @@ class ControlEstimate:
         if self.learning.active:
             self._learn(sample, timing.lag_s)
         self._more_ways = timing.more_way, self._more_ways[0]
-        if timing is not IN_TIME or self._untimeliness:
-            self._tell_untimeliness(max(timing.late_share, abs(timing.lag_s) / self._task.period_s))
+        if self._untimeliness.update(timing):
+            self._adopt(self.model.plant)
         self._tell()
 
     def skip(self, effort: float) -> None:
@@ -272,7 +240,7 @@ class ControlEstimate:
             else:
                 self._adopt(self.learning.believed)
             # Quick loops behind a quiet encoder find it within two ticks.
-            if self._rules.ends_friction and (self._is_untimely or is_noisy(self._task, self.noise)):
+            if self._rules.ends_friction and (self._untimeliness.is_large or is_noisy(self._task, self.noise)):
                 self._friction = self.learning.friction(self._load_at_rest, self._largest_friction)
         else:
             self._return_to_believed()
@@ -333,18 +301,6 @@ class ControlEstimate:
                 -direction * found.load,
             )
 
-    def _tell_untimeliness(self, share: float) -> None:
-        """Take the share of a period by which an effort or a sample was untimely; the first asks for slower gains."""
-        before = self._is_untimely
-        self._untimeliness = max(share, _UNTIMELINESS_KEPT * self._untimeliness)
-        if self._is_untimely and not before:
-            self._adopt(self.model.plant)
-
-    @property
-    def _is_untimely(self) -> bool:
-        """Whether efforts or samples have been so untimely of late that the loops have to be slow."""
-        return self._untimeliness > _UNTIMELY_SHARE
-
     @property
     def _largest_friction(self) -> float:
         """By how much what acts against a move may differ from what is held at rest, in effort unit."""
@@ -374,7 +330,7 @@ class ControlEstimate:
         gains = encoder_gains(self._task, self.noise, rules)
         if not (is_known or learning.is_known):
             gains = gains.slower(rules.unknown)
-        elif self._is_untimely:
+        elif self._untimeliness.is_large:
             gains = gains.slower(rules.untimely)
         elif learning.is_late:
             gains = gains.slower(rules.late)

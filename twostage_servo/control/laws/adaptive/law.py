@@ -22,13 +22,14 @@ from typing import Final
 
 from twostage_servo.control.laws.adaptive.course import Course
 from twostage_servo.control.laws.adaptive.departure import Departure
-from twostage_servo.control.laws.adaptive.estimate import IN_TIME, ControlEstimate, Timing
+from twostage_servo.control.laws.adaptive.estimate import ControlEstimate
 from twostage_servo.control.laws.adaptive.position_stage import PositionStage
 from twostage_servo.control.laws.adaptive.rules import Rules, loop_period_s
 from twostage_servo.control.laws.adaptive.speed_stage import SpeedStage
 from twostage_servo.control.laws.effort_limits import limited_effort
 from twostage_servo.control.laws.law import ControlTask, Learned, Stage
 from twostage_servo.control.laws.stop import Stop
+from twostage_servo.control.laws.timing import IN_TIME, Timing
 from twostage_servo.control.observer import DisturbanceObserver
 from twostage_servo.control.plant import Plant
 
@@ -160,10 +161,9 @@ class AdaptiveLaw:
             self.observer.predict(acted)
             self._estimate.skip(acted)
 
-    def tell_timing(self, acted: float, late_share: float, lag_s: float, dating: float) -> None:
-        """Tell of the next period what was not in time; see :meth:`~twostage_servo.control.laws.law.TimedLaw`."""
-        late_effort = acted - self.effort
-        self._timing = Timing(late_effort, (1.0 - late_share) * late_effort, lag_s, late_share, dating)
+    def tell_timing(self, timing: Timing) -> None:
+        """Tell of the next period what was not in time; see :class:`.TimedLaw`."""
+        self._timing = timing
 
     def shift(self, distance: float) -> None:
         """Count positions from an origin that lies `distance` (axis unit) lower; nothing moves."""
