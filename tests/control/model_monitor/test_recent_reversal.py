@@ -73,6 +73,16 @@ def test_it_does_nothing_while_nothing_surprises() -> None:
     assert Bench(sees=lambda position: -position).runs_away(60, surprised=False) is None
 
 
+def test_it_is_idle_again_once_nothing_surprises_and_costs_nothing_then() -> None:
+    bench = Bench()
+    for _ in range(10):
+        bench.tick(1.0)
+    assert bench.watch._ticks > 0
+    for _ in range(20):
+        bench.tick(1.0, square=0.0, surprised=False)
+    assert bench.watch._ticks == 0
+
+
 def test_it_takes_the_accepted_plants_to_be_surprised_enough() -> None:
     """From 1.5 times the surprise below which nothing is decided, over what the window keeps of it."""
     for square, told in ((0.0, False), (1e-4, False), (0.09, True)):

@@ -8,7 +8,8 @@ the effort from the acceleration, of reversed plants and of each accepted one al
 *changes* tells them apart: a load pushes whatever the effort does, a reversed encoder ever more as the effort grows.
 
 They begin anew for as long as an accepted one explains no less: a sequential test with restarts (E. S. Page,
-*Continuous inspection schemes*, Biometrika 41, 1954). They are idle while nothing surprises.
+*Continuous inspection schemes*, Biometrika 41, 1954). They are idle while nothing surprises, and forget at a tick
+without a sample: behind a drive that sends less often than the axis ticks they tell nothing.
 """
 
 from typing import Final, NamedTuple
@@ -108,10 +109,11 @@ class RecentReversal:
             Whether these are surprised at all of late.
         """
         now = _Seen(sample, effort, late_effort)
-        if self._ticks or is_surprised:
-            if self._ticks:
-                self._compare(now, least_square)
-            if not self._explains_more and len(self._seen) == 2:
+        if self._ticks:
+            self._compare(now, least_square)
+        if not self._explains_more:
+            self._ticks = 0
+            if is_surprised and len(self._seen) == 2:
                 self._begin(now)
         self._seen = [*self._seen[-1:], now]
 
@@ -125,7 +127,8 @@ class RecentReversal:
 
     @property
     def _explains_more(self) -> bool:
-        return min(self._own_sums) < min(self._accepted_sum, *self._sums)
+        """Whether the best reversed plant has explained more than every other since they have begun, if they have."""
+        return self._ticks > 0 and min(self._own_sums) < min(self._accepted_sum, *self._sums)
 
     def _begin(self, now: _Seen) -> None:
         before, last = self._seen
@@ -150,11 +153,8 @@ class RecentReversal:
         """
         if self._ticks <= self._least_ticks:
             return False
-        own, others, surprise = (
-            min(self._own_sums),
-            min(self._accepted_sum, *self._sums),
-            self._accepted_sum**0.5 / least,
-        )
+        own, others = min(self._own_sums), min(self._accepted_sum, *self._sums)
+        surprise = self._accepted_sum**0.5 / least
         return any(surprise > enough and others > evidence * own for enough, evidence in _DECISIONS)
 
     def reckon(self) -> Reckoning:
