@@ -120,8 +120,15 @@ def stalled(law: str, effort: float, ticks: int, velocity: float = 0.0) -> World
 @pytest.mark.parametrize(
     ("law", "effort", "ticks", "is_met"),
     [
-        ("adaptive", 19.4, 5, True),  # 17 V of the same move without a stall, and 2.5 V that tell one
-        ("adaptive", 19.6, 5, False),
+        ("adaptive", 19.4, 3, True),  # 17 V of the same move without a stall, and 2.5 V that tell one
+        ("adaptive", 19.6, 3, False),
+        (
+            "adaptive",
+            19.4,
+            4,
+            False,
+        ),  # in all more than the paper's law, which rises evenly to 9 V in 15.5 ticks: 69.8 V
+        ("adaptive", 8.9, 9, True),
         ("adaptive", 7.8, 100, False),  # not told in time
         ("paper", 19.4, 5, False),
         ("paper", 9.1, 5, False),
@@ -136,10 +143,11 @@ def test_an_axis_that_is_stuck_is_pushed_as_its_plan_would_and_no_more_than_tell
 
 
 @pytest.mark.parametrize(
-    ("effort", "velocity", "is_met"), [(24.0, 100.0, True), (24.1, 100.0, False), (24.0, 2.4, False)]
+    ("effort", "velocity", "ticks", "is_met"),
+    [(24.0, 100.0, 4, True), (24.1, 100.0, 4, False), (24.0, 2.4, 2, False), (24.0, 100.0, 5, False)],
 )
 def test_quick_loops_may_push_an_axis_that_stops_in_mid_motion_up_to_the_limit(
-    effort: float, velocity: float, is_met: bool
+    effort: float, velocity: float, ticks: int, is_met: bool
 ) -> None:
-    wrong = asyncio.run(within_stall_effort(stalled("adaptive", effort, 5, velocity)))
+    wrong = asyncio.run(within_stall_effort(stalled("adaptive", effort, ticks, velocity)))
     assert (wrong is None) is is_met, wrong

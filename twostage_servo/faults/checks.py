@@ -99,7 +99,8 @@ async def within_stall_effort(world: World) -> str | None:
     the move's at most, or of the distance in the position stage. A law that follows a plan goes on with the efforts of
     the plan, which are those of the same move without the fault, and adds less than what tells a stall; one that stops
     in mid-motion gives back the velocity's part at once, in loops as quick as the tick allows, up to the effort limit.
-    After the trip no more is allowed than the quick stop's ramp takes without friction.
+    Where that is more than the feedback of the paper's law comes to, its efforts add up to no more than those of that
+    law would. After the trip no more is allowed than the quick stop's ramp takes without friction.
     """
     design, limits = world.axis.design, world.axis.settings.limits
     stall_ticks = design.ticks(limits.stall_time_ms)
@@ -118,6 +119,11 @@ async def within_stall_effort(world: World) -> str | None:
         return f"the stall was noticed after {len(stuck)} ticks, {ticks + 0.5 * ramp_ticks:.1f} are allowed"
     most = abs(before.effort) + 2.0 * abs(gains.f12 * before.velocity) + rise * ticks
     if follows_a_plan(design):
+        # Beyond that for no longer than an effort that rises to it evenly comes to, from what tells a stall on.
+        push = sum(abs(sample.effort) for sample in stuck)
+        allowed_push = 0.5 * (abs(before.effort) + most) * (2.0 * stall_ticks + 3.0 + 0.5 * ramp_ticks)
+        if max(abs(sample.effort) for sample in stuck) > most and push > allowed_push:
+            return f"the efforts against the stall add up to {push:.4g} a tick, {allowed_push:.4g} is allowed"
         planned = max(abs(sample.effort) for sample in world.undisturbed) + limits.stall_effort
         most = max(most, planned if abs(before.velocity) <= design.rest_velocity else limits.effort)
     braking = max(most, limits.quick_stop_deceleration / abs(world.axis.settings.plant.gain))
