@@ -241,19 +241,25 @@ def test_a_plot_of_an_unknown_kind_or_in_no_folder_is_refused(
 
 
 @pytest.mark.long
-def test_the_expected_response_is_shown_and_told(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "--set", "axis.law.type=paper", "--uncertainty", "20", "--json"]) == 0
+@pytest.mark.parametrize(
+    ("law", "settled_s", "overshoot"), [("paper", 5.64, (3.0, 4.0)), ("adaptive", 4.05, (0.0, 0.05))]
+)
+def test_the_expected_response_is_shown_and_told(
+    capsys: pytest.CaptureFixture[str], law: str, settled_s: float, overshoot: tuple[float, float]
+) -> None:
+    chosen = ["--set", f"axis.law.type={law}"]
+    assert main(["design", *chosen, "--uncertainty", "20", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["uncertainty"] == 20.0
     assert (told["distance"], told["velocity"]) == (400.0, 100.0)
     assert told["bound_s"] == pytest.approx(4.026, abs=0.001)
-    assert told["response"]["nominal"]["settling_time_s"] == pytest.approx(5.64)
-    assert told["response"]["worst"]["overshoot"] > told["response"]["nominal"]["overshoot"] > 3.0
+    assert told["response"]["nominal"]["settling_time_s"] == pytest.approx(settled_s)
+    assert told["response"]["worst"]["overshoot"] > told["response"]["nominal"]["overshoot"]
+    assert overshoot[0] < told["response"]["nominal"]["overshoot"] < overshoot[1]
     assert [(one["distance"], one["velocity"]) for one in told["corners"]] == [
         (2.5, 100.0), (400.0, 100.0), (2.5, 250.0), (1000.0, 250.0),
     ]  # fmt: skip
-    paper = ["--set", "axis.law.type=paper"]
-    assert main(["design", *paper, "--distance", "40", "--velocity", "20", "--uncertainty", "0"]) == 0
+    assert main(["design", *chosen, "--distance", "40", "--velocity", "20", "--uncertainty", "0"]) == 0
     out = capsys.readouterr().out
     assert "move       40 mm at 20 mm/s, to 0.05 mm" in out
     assert "% off" not in out

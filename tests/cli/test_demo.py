@@ -73,15 +73,23 @@ def test_the_default_move_of_the_papers_law(capsys: pytest.CaptureFixture[str]) 
     ids=["nominal", "noise", "30 percent off"],
 )
 def test_moves_settle_with_no_trip(
-    capsys: pytest.CaptureFixture[str], target: float, velocity: float, drive: tuple[str, ...]
+    request: pytest.FixtureRequest,
+    capsys: pytest.CaptureFixture[str],
+    target: float,
+    velocity: float,
+    drive: tuple[str, ...],
 ) -> None:
+    if "simulation.noise_std=0.0316" in drive and target == 0.05:
+        reason = (
+            "a noise that has not been measured at rest yet, and a move as short as it: docs/adaptive-law.md, limits"
+        )
+        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
     overrides = [argument for override in drive for argument in ("--set", override)]
     result = demo(capsys, "--to", str(target), "--velocity", str(velocity), *overrides)
     assert result["trip"] is None
     assert result["settling_time_s"] is not None
     assert abs(result["final_error"]) <= 0.06
-    within_noise = "simulation.noise_std=0.0316" in drive and abs(target) < 1.0  # it changes over as it sets out
-    if (changeover := result["changeover"]) and not within_noise:
+    if changeover := result["changeover"]:
         # Rounding of a difference of two rounded efforts: half a quantum each.
         assert changeover["effort_step"] <= changeover["ordinary_effort_step"] + 1.01 * QUANTUM
 
