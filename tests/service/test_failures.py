@@ -200,6 +200,27 @@ def test_one_command_that_is_dropped_is_bridged_and_counted() -> None:
     simulate(script)
 
 
+def test_the_axis_knows_how_late_its_last_command_left_and_that_a_dropped_one_never_did() -> None:
+    told: list[float] = []
+
+    async def script(world: World) -> None:
+        await world.cruising()
+        begin = world.axis.begin_tick
+
+        def listen(tick: int, missed: int, late_s: float = 0.0) -> None:
+            told.append(late_s)
+            begin(tick, missed, late_s)
+
+        world.axis.begin_tick = listen
+        full(world, lambda number: number == 3)
+        await world.until(lambda: len(told) == 8)
+
+    simulate(script)
+    period_s = 0.01
+    assert [round(late_s / period_s, 6) for late_s in told].count(1.0) == 1
+    assert sorted(told)[:-1] == pytest.approx([0.0] * (len(told) - 1), abs=1e-9)
+
+
 def test_two_commands_in_a_row_that_are_dropped_trip() -> None:
     async def script(world: World) -> None:
         await world.cruising()
